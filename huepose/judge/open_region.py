@@ -260,10 +260,9 @@ def _averaged_around(points: Float32, normals: Float32, values: Float, sigma_m: 
     return np.stack([np.bincount(i, w * column[j], len(points)) / total for column in values.T.copy()], 1)
 
 
-def terms_at(surface: PreparedSurface, region: OpenRegion, T_cam_obj: Float64) -> Terms:
-    """The terms of a pose T_cam_obj (4, 4), from up to SAMPLES samples."""
-    terms = score_arrays(surface.arrays, region.arrays, np.asarray(T_cam_obj)[None], SAMPLES)[0]
-    return Terms(*(float(x) for x in terms))
+def terms_at(surface: PreparedSurface, region: OpenRegion, *poses: Float64) -> list[Terms]:
+    """The terms of each of some poses (4, 4), from up to SAMPLES samples."""
+    return [Terms.of(row) for row in score_arrays(surface.arrays, region.arrays, np.array(poses), SAMPLES)]
 
 
 def totals(

@@ -94,6 +94,11 @@ class Terms:
         seen."""
         return self.light_l, self.light_rg, self.light_yb
 
+    @staticmethod
+    def of(row: Float64) -> Terms:
+        """The terms of a pose, from its row (17,) of `score_many`."""
+        return Terms(*row.tolist())
+
 
 NOTHING = Terms(*(0.0,) * 11, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """The terms of a pose outside the image."""
@@ -101,7 +106,7 @@ NOTHING = Terms(*(0.0,) * 11, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 def score(model: ReferenceModel, region: Region, T_cam_obj: Float) -> Terms:
     """Judge one pose T_cam_obj (4, 4) in a region, closely."""
-    return Terms(*(float(x) for x in score_many(model, region, T_cam_obj[None], CLOSE_SAMPLES)[0]))
+    return Terms.of(score_many(model, region, T_cam_obj[None], CLOSE_SAMPLES)[0])
 
 
 def score_many(model: ReferenceModel, region: Region, poses: Float, samples: int) -> Float64:

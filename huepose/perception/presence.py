@@ -62,7 +62,7 @@ def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Flo
     """The evidence for a pose (4, 4) without outline and codes. region: `view.with_planes.region` for this
     model."""
     T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
-    terms = Terms(*(float(x) for x in score_many(model, region, T[None], CLOSE_SAMPLES)[0]))
+    terms = Terms.of(score_many(model, region, T[None], CLOSE_SAMPLES)[0])
     crop, arrays = view.crop, model_arrays(model)
     rim = continuation_many(arrays, crop.depth, view.clear, crop.camera, T[None], RIM_SAMPLES)[0]
     pixels = agreeing_pixels(model, view.frame, T)

@@ -17,6 +17,9 @@ from huepose.tracking.motion import increment_velocity
 MAX_CAMERA_M_S, MAX_CAMERA_RAD_S = 3.0, 10.0
 """No arm and no hand moves a camera faster. A faster motion is a jump of the parent frame."""
 
+STATIC = np.eye(4)
+"""The motion of a camera that has not moved. It is recognised by identity (`is`)."""
+
 
 @dataclass(frozen=True, eq=False)
 class CameraPlace:
@@ -45,7 +48,7 @@ class CameraPlace:
 
     def relative(self, surface: PreparedSurface, h: Hypothesis) -> Hypothesis:
         """A hypothesis with its velocity relative to the camera."""
-        if self.moved is None or h.velocity is None:
+        if self.moved is None or self.moved[0] is STATIC or h.velocity is None:
             return h
         T_new_old, seconds = self.moved
         stood = se3.compose(se3.inverse(T_new_old), h.T_cam_obj)
@@ -56,6 +59,8 @@ def _moved(T_parent_before: Float64 | None, T_parent_now: Float64 | None, second
     """Transform from the camera axes `seconds` ago to the present ones (4, 4); None if not known."""
     if T_parent_before is None or T_parent_now is None:
         return None
+    if np.array_equal(T_parent_before, T_parent_now):
+        return STATIC
     T = se3.compose(se3.inverse(T_parent_now), T_parent_before)
-    slow = np.linalg.norm(T[:3, 3]) <= MAX_CAMERA_M_S * seconds
+    slow = se3.length(T[:3, 3]) <= MAX_CAMERA_M_S * seconds
     return T if slow and se3.rotation_angle(T, np.eye(4)) <= MAX_CAMERA_RAD_S * seconds else None

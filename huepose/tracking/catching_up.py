@@ -132,7 +132,7 @@ def _camera_moved(before: RgbdFrame, frame: RgbdFrame) -> bool:
     T, T_now = before.T_parent_cam, frame.T_parent_cam
     if T is None or T_now is None:
         return False
-    shifted_m, turned_rad = np.linalg.norm(T_now[:3, 3] - T[:3, 3]), se3.rotation_angle(T, T_now)
+    shifted_m, turned_rad = se3.length(T_now[:3, 3] - T[:3, 3]), se3.rotation_angle(T, T_now)
     return bool(shifted_m > STATIC_M or turned_rad > STATIC_RAD)
 
 

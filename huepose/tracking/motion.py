@@ -100,7 +100,7 @@ class Reach:
 
     def holds(self, centre_cam: Float64) -> bool:
         """Whether an object's centre (3,) lies within, with a tolerance."""
-        return float(np.linalg.norm(centre_cam - self.centre_cam)) < self.distance_m + REFINED_M
+        return se3.length(centre_cam - self.centre_cam) < self.distance_m + REFINED_M
 
     def seen_from(self, T_new_old: Float64) -> Reach:
         """The same region in the axes of a camera that has moved; T_new_old (4, 4): from the old axes to the
@@ -157,7 +157,7 @@ def jump_odds(
     metres, radians = SLACK_M + config.max_search_m_s * gone_s, SLACK_RAD + config.max_search_rad_s * gone_s
     nearest = np.inf
     for T in (expected, T_last):
-        shift = float(np.linalg.norm(surface.centre_cam(T_found) - surface.centre_cam(T)))
+        shift = se3.length(surface.centre_cam(T_found) - surface.centre_cam(T))
         nearest = min(nearest, max(shift / metres, se3.rotation_angle(T, T_found) / radians))
         if nearest <= 1.0:
             return 0.0

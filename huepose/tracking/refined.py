@@ -82,14 +82,12 @@ def best_of(
             break
         T = refined.T_cam_obj
         refined = refine(surface, region, T, schedule)
-    best = Hypothesis(
-        refined.T_cam_obj, terms_at(surface, region, refined.T_cam_obj), refined.information, name
-    )
-    unmoved_terms = terms_at(surface, region, T_start)
+    refined_terms, unmoved_terms = terms_at(surface, region, refined.T_cam_obj, T_start)
+    best = Hypothesis(refined.T_cam_obj, refined_terms, refined.information, name)
     if unmoved_terms.total > best.terms.total + PULLED_AWAY:
         # Pulled away by something close, such as a hand that holds the object: use near readings only.
         careful = refine(surface, region, T_start, FINE)
-        seen = terms_at(surface, region, careful.T_cam_obj)
+        seen = terms_at(surface, region, careful.T_cam_obj)[0]
         if seen.total > best.terms.total:
             best = Hypothesis(careful.T_cam_obj, seen, careful.information, name)
         if unmoved_terms.total > best.terms.total:
@@ -111,7 +109,7 @@ def unmoved(
 ) -> Hypothesis:
     """A pose as it is, judged in a frame."""
     region = region_of(surface, frame, T_cam_obj, light)
-    terms = NOTHING if region is None else terms_at(surface, region, T_cam_obj)
+    terms = NOTHING if region is None else terms_at(surface, region, T_cam_obj)[0]
     return Hypothesis(T_cam_obj, terms, np.zeros((6, 6)), "velocity")
 
 
@@ -168,7 +166,7 @@ def region_of(
 
 def moved_m(surface: PreparedSurface, T_a: Float64, T_b: Float64) -> float:
     """How far the object's centre and rim moved at most."""
-    shift = float(np.linalg.norm(surface.centre_cam(T_a) - surface.centre_cam(T_b)))
+    shift = se3.length(surface.centre_cam(T_a) - surface.centre_cam(T_b))
     return shift + surface.radius_m * se3.rotation_angle(T_a, T_b)
 
 

@@ -74,8 +74,13 @@ class Subject:
         """Unit vector (3,) from the object to the camera, object axes; of those that look the same, the one
         nearest to `near`."""
         eye = -T_cam_obj[:3, :3].T @ self.surface.centre_cam(T_cam_obj)
-        alike = eye / max(float(np.linalg.norm(eye)), 1e-9) @ self.model.equivalents[:, :3, :3]
+        alike = (eye / max(se3.length(eye), 1e-9) @ self._rotations_alike).reshape(-1, 3)
         return np.asarray(alike[np.argmax(alike @ near)])
+
+    @cached_property
+    def _rotations_alike(self) -> Float64:
+        """The rotations of the model's `equivalents` side by side (3, 3 K): one product with a vector."""
+        return np.ascontiguousarray(np.concatenate(list(self.model.equivalents[:, :3, :3]), axis=1))
 
     def closer(self, turns: Float64) -> Float64:
         """Rotations (M, 4, 4) and, for an object of revolution, those half a step further about its axis (2M,

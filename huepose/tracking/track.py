@@ -17,7 +17,7 @@ from huepose.judge.silhouette import taken_by
 from huepose.judge.terms import NOTHING, Terms
 from huepose.select.distinct import RIGHT
 from huepose.tracking import evidence
-from huepose.tracking.camera_place import CameraPlace
+from huepose.tracking.camera_place import STATIC, CameraPlace
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.elsewhere import PARTS
 from huepose.tracking.evidence import Identity, TrackState, next_state, turned_over
@@ -168,7 +168,7 @@ class Track:
         if T_new_old is None:
             if frame.T_parent_cam is not None:
                 self._stood = None
-        elif not self.hypotheses or self._camera.moved is not None:
+        elif T_new_old is not STATIC and (not self.hypotheses or self._camera.moved is not None):
             self._carry(T_new_old)
         if self._camera.moved is None:
             # From now on velocities are relative to the camera.

@@ -10,7 +10,7 @@ import sys
 import pytest
 from llvmlite.binding import get_host_cpu_name
 
-from benchmarks.speed import RATIOS
+from benchmarks.speed import CALLS, RATIOS, busier
 from huepose_services.runtime.threads import THREAD_VARIABLES
 
 
@@ -35,10 +35,9 @@ measured_here = pytest.mark.skipif(
 
 @pytest.mark.live
 @pytest.mark.pipeline
-@measured_here
 def test_no_stage_became_slower():
     code, found = _speed()
-    assert (code, found["slower"]) == (0, {}), found
+    assert (code, found["slower"], found["busier"]) == (0, {}, {}), found
 
 
 @pytest.mark.live
@@ -47,3 +46,10 @@ def test_no_stage_became_slower():
 def test_a_stage_that_is_slower_by_half_is_reported():
     code, found = _speed("--only", "track", "--slowed", "0.5")
     assert (code, list(found["slower"])) == (1, ["track"]), found
+
+
+def test_a_stage_that_calls_a_quarter_more_functions_is_reported():
+    assert busier({name: n if name == "detect" else round(1.25 * n) for name, n in CALLS.items()}) == {
+        "track": 1.25,
+        "estimate": 1.25,
+    }

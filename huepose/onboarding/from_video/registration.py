@@ -115,7 +115,7 @@ def registered(surface: PreparedSurface, frame: RgbdFrame, guesses: Sequence[Flo
         coarse = refine(surface, region, guess, COARSE)
         for start in (guess, coarse.T_cam_obj):
             T = refine(surface, region, start, FULL).T_cam_obj
-            terms = terms_at(surface, region, T)
+            terms = terms_at(surface, region, T)[0]
             if best is None or terms.total > best.terms.total:
                 best = Registered(T, terms)
     return best

@@ -22,6 +22,7 @@ from pathlib import Path
 import zenoh
 
 from huepose_protos.client import Client, open_session
+from huepose_protos.fields import is_name
 from huepose_protos.keys import Keys, site_and_camera_of
 from huepose_protos.local import Whereabouts, boot_id, pose_endpoints
 from huepose_protos.messages import CameraMessage, Message, Mount, ObjectsMessage, PoseMessage
@@ -61,7 +62,7 @@ class PoseClient(Client):
     site, camera: read the poses of this one only, else of all, each kept separately. `pose.frame` names the
     camera of a pose; if cameras of two sites have the same name, make one client for each site. object: read
     the poses of this object only, else of all. Several threads may use one client.
-    Raises ValueError for endpoints or files that cannot be used and if several pipelines match,
+    Raises ValueError for names, endpoints or files that cannot be used and if several pipelines match,
     FileNotFoundError for a missing file.
 
     `missed`: poses that were dropped because the iterator was not read for too long (`latest` and `at` always
@@ -88,7 +89,9 @@ class PoseClient(Client):
         self._made = time.monotonic()
         self._closed = threading.Event()
         self._asker = threading.Thread(target=self._ask_new_peers, daemon=True)
-        keys = Keys(site, camera)
+        keys, self._object = Keys(site, camera), object
+        if object is not None and not is_name(object):
+            raise ValueError(f"PoseClient: object {object!r} is not a name of a-z, 0-9, _ and -")
         inside = keys.poses if object is None else keys.poses.replace("**", f"{object}/*")
         self._outside = (keys.outside(inside), keys.outside(keys.camera_info))
         self._expressions = (inside, keys.camera_info, *self._outside)
@@ -225,6 +228,10 @@ class PoseClient(Client):
             return "no tracker answers, or it is still starting"
         if not names:
             return "no object is searched for"
+        if self._object is not None and self._object not in names:
+            return f"{self._object} is not searched for, only {', '.join(names)}"
+        if self._object is not None:
+            return f"{self._object} is not seen"
         return f"none of the objects that are searched for ({', '.join(names)}) is seen"
 
     def next(self, timeout_s: float | None = None) -> PoseMessage | None:

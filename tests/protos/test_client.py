@@ -86,6 +86,27 @@ def test_a_pose_stored_by_a_gateway_is_as_old_as_its_image(client, ago_s, silent
     assert client.silent_s() < 0.5
 
 
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["box", "mug"], "mug is not seen: `huepose status` says why"),
+        (["box", "can"], "mug is not searched for, only box, can: `huepose status` says why"),
+    ],
+)
+def test_a_client_of_one_object_says_why_none_of_its_poses_comes(monkeypatch, names, said):
+    """Others may be seen: it does not hear their poses."""
+    monkeypatch.setattr(PoseClient, "connected", True)
+    with PoseClient(NOBODY, object="mug") as client:
+        monkeypatch.setattr(client, "looked_for", lambda: names)
+        assert client.why_silent() == f"connected, but {said}"
+
+
+@pytest.mark.parametrize("name", ["", "Tea Box", "tea#box", "tea/box"])
+def test_a_client_of_an_object_with_an_invalid_name_is_refused(name):
+    with pytest.raises(ValueError, match=r"is not a name of a-z, 0-9, _ and -"):
+        PoseClient(NOBODY, object=name)
+
+
 def heard(client):
     return iter(lambda: client.next(0.0), None)
 

@@ -26,6 +26,7 @@ from huepose_protos import encode
 from huepose_protos.examples import example
 from huepose_protos.keys import Keys
 from huepose_protos.messages import CameraMessage, Mount, ObjectEntry, ObjectsMessage, PoseMessage
+from huepose_protos.motion import PoseAt, pose_at
 from huepose_services.camera.python import open_source
 from huepose_services.cli.new import write_frame
 from huepose_services.runtime.config import Config, load
@@ -310,6 +311,33 @@ def test_without_a_router_a_topic_says_once_what_to_start_and_waits_until_ctrl_c
         "Waiting for it; Ctrl-C ends\n"
     )
     assert (more, bridge.returncode) == ("", 0)
+
+
+def test_the_program_for_poses_on_the_robot_names_an_object_that_is_not_to_be_acted_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Client:
+        def __init__(self, endpoints: list[str]) -> None: ...
+
+        def __enter__(self) -> Client:
+            return self
+
+        def __exit__(self, *error: object) -> None: ...
+
+        def camera(self, timeout_s: float) -> CameraMessage:
+            return CAMERA_MESSAGE
+
+        def next(self) -> PoseMessage:
+            return EXAMPLE
+
+        def at(self) -> PoseAt | None:
+            return pose_at([tracked(state="SUSPECT")], EXAMPLE.capture_ns)
+
+    monkeypatch.setattr("huepose_protos.PoseClient", Client, raising=False)
+    blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs" / "ros2.md").read_text(), re.M | re.S)
+    (program,) = [block for block in blocks if "client.at()" in block]
+    exec(program, {})
+    assert capsys.readouterr().out == "tea_box SUSPECT\n"
 
 
 def test_every_example_says_how_it_is_run_and_is_listed() -> None:

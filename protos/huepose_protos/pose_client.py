@@ -29,7 +29,9 @@ from huepose_protos.messages import CameraMessage, Message, Mount, ObjectsMessag
 from huepose_protos.motion import PoseAt, carried, mount_at, pose_at
 from huepose_protos.reach import endpoint_of, why_unreached
 
-_KEPT, _KEPT_MOUNTS = 64, 512
+_KEPT, _KEPT_MOUNTS = 512, 512
+_KEPT_NS = 2_200_000_000
+"""Poses are kept for two seconds and a gap between two of them, also at a camera's highest rate, 240 Hz."""
 _WAITING = 1024
 _LOOK_EVERY_S = 0.1
 _ASK_TIMEOUT_S = 2.0
@@ -182,6 +184,8 @@ class PoseClient(Client):
             elif history and pose.capture_ns <= history[-1].capture_ns:
                 return  # it came twice, as an answer and by itself
             history.append(pose)
+            while pose.capture_ns - history[0].capture_ns > _KEPT_NS:
+                history.popleft()
             self._arrived[instance] = max(arrived, self._arrived.get(instance, arrived))
             if len(self._waiting) == _WAITING:
                 self._waiting.popleft()

@@ -107,6 +107,15 @@ def test_a_client_of_an_object_with_an_invalid_name_is_refused(name):
         PoseClient(NOBODY, object=name)
 
 
+@pytest.mark.parametrize("rate_hz", [5, 30, 60, 240])
+def test_poses_of_two_seconds_are_interpolated_at_any_rate_and_older_ones_forgotten(client, rate_hz):
+    for number in range(4 * rate_hz):
+        client._on_sample(pose("lab", 1, 100 * SECOND + number * SECOND // rate_hz, number / rate_hz))
+    newest_ns = client.latest().capture_ns
+    assert client.at(newest_ns - 2 * SECOND + 1).ahead_s == 0.0
+    assert client.at(newest_ns - 3 * SECOND) is None
+
+
 def heard(client):
     return iter(lambda: client.next(0.0), None)
 

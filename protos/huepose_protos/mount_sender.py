@@ -42,7 +42,7 @@ class MountSender:
         of the camera's optical frame. stamp_ns: its time on this machine's CLOCK_MONOTONIC, by default now.
         Raises ValueError if it is no rigid motion, and for a timestamp of another clock."""
         T, now = rigid(T_parent), time.monotonic_ns()
-        stamp_ns = now if stamp_ns is None else stamp_ns
+        stamp_ns = now if stamp_ns is None else int(stamp_ns)
         if not now - _OLDEST_NS <= stamp_ns <= now + SECOND:
             raise ValueError(
                 f"stamp_ns {stamp_ns} is {(stamp_ns - now) / SECOND:+.1f} s from now: give the "

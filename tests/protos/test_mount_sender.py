@@ -61,6 +61,15 @@ def test_a_matrix_that_is_rigid_to_a_thousandth_is_sent(sender):
     assert mount.quaternion == pytest.approx((0.0, 0.0, 0.5**0.5, 0.5**0.5), abs=1e-4)
 
 
+@pytest.mark.parametrize("kind", [np.int64, float])
+def test_a_timestamp_of_numpy_or_of_a_float_is_sent_as_an_integer(sender, kind):
+    sent = queue.SimpleQueue()
+    sender._session.declare_subscriber("huepose/local/cam0/mount", sent.put)
+    stamp_ns = kind(time.monotonic_ns())
+    sender.tell(ROTATED, stamp_ns)
+    assert decode(sent.get(timeout=10.0).payload.to_bytes(), MountMessage).capture_ns == stamp_ns
+
+
 def test_the_sender_finds_a_second_cameras_pipeline_that_starts_later(monkeypatch, tmp_path):
     """That pipeline does not listen at the sockets of the first camera."""
     monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -31,7 +30,10 @@ def run_folder() -> Path:
     if own := os.environ.get(FOLDER):
         return Path(own)
     base = os.environ.get("XDG_RUNTIME_DIR")
-    return Path(base) / "huepose" if base else Path(tempfile.gettempdir()) / f"huepose-{os.getuid()}"
+    if base:
+        return Path(base) / "huepose"
+    # Not TMPDIR, which differs between shells and services: one user has one folder.
+    return Path(f"/tmp/huepose-{os.getuid()}")  # noqa: S108  # make_folder refuses another user's
 
 
 def endpoint(port: int, folder: Path | str | None = None) -> str:

@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 
 import pytest
 
@@ -14,6 +16,16 @@ from huepose_protos.local import (
     pose_endpoints,
     writer_runs,
 )
+
+
+def test_every_shell_of_a_user_has_the_same_folder(monkeypatch, tmp_path):
+    for name in ("HUEPOSE_RUN", "XDG_RUNTIME_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    command = [sys.executable, "-c", "from huepose_protos.local import run_folder; print(run_folder())"]
+    for folder in (tmp_path, "/tmp"):
+        monkeypatch.setenv("TMPDIR", str(folder))
+        found = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+        assert found == f"/tmp/huepose-{os.getuid()}\n"
 
 
 def test_a_note_does_not_count_for_a_later_process_with_the_same_pid(tmp_path):

@@ -291,6 +291,30 @@ def test_a_topic_arrives_at_a_router(base_port: int) -> None:
 
 
 @pytest.mark.live
+def test_a_router_that_starts_late_gets_no_old_poses(base_port: int) -> None:
+    router, poses = (f"tcp/127.0.0.1:{base_port + k}" for k in (0, 1))
+    heard: list[zenoh.Sample] = []
+    with published(poses, lambda number: tracked()):
+        bridge = subprocess.Popen(
+            example("06_ros2.py", "tea_box", router, poses), stderr=subprocess.PIPE, text=True
+        )
+        try:
+            assert bridge.stderr is not None
+            assert bridge.stderr.readline().startswith("no router of ROS 2 answers")
+            time.sleep(1.0)
+            with zenoh.open(listening(router, mode="router")) as session:
+                began_ns = time.time_ns()
+                session.declare_subscriber("0/pick/target/**", heard.append)
+                until(lambda: heard or bridge.poll() is not None, 60.0)
+        finally:
+            bridge.terminate()
+            bridge.communicate()
+    store, kind = get_typestore(Stores.ROS2_JAZZY), "geometry_msgs/msg/PoseStamped"
+    stamps = [store.deserialize_cdr(one.payload.to_bytes(), kind).header.stamp for one in heard]
+    assert min(stamp.sec * 10**9 + stamp.nanosec for stamp in stamps) > began_ns
+
+
+@pytest.mark.live
 def test_without_a_router_a_topic_says_once_what_to_start_and_waits_until_ctrl_c(base_port: int) -> None:
     router, poses = (f"tcp/127.0.0.1:{base_port + k}" for k in (0, 1))
     with published(poses, lambda number: tracked()):

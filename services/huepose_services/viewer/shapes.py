@@ -87,7 +87,8 @@ def drawable(mesh: Mesh) -> dict[str, np.ndarray]:
     texture = mesh.texture
     scale = _MAX_TEXTURE / max(texture.shape[:2])
     if scale < 1.0:
-        small = cv2.resize(texture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        height, width = (max(1, round(scale * side)) for side in texture.shape[:2])
+        small = cv2.resize(texture, (width, height), interpolation=cv2.INTER_AREA)
         texture = small.astype(np.uint8, copy=False)
     return {
         "vertex_positions": mesh.vertices[corners],

@@ -81,6 +81,14 @@ def test_the_point_cloud_lies_on_the_rays_of_its_pixels():
     assert (colors == color[[40, 41], [50, 60]]).all()
 
 
+@pytest.mark.parametrize(("shape", "shown"), [((1, 1024), (1, 512)), ((4096, 2), (512, 1))])
+def test_a_texture_that_is_a_strip_of_colours_is_shown(shape, shown):
+    mesh = replace(_box(), texture=np.full((*shape, 3), 7, np.uint8))
+    texture = drawable(mesh)["albedo_texture"]
+    assert texture.shape == (*shown, 3)
+    assert (texture == 7).all()
+
+
 def test_a_drawable_mesh_has_the_same_triangles_and_a_small_texture():
     mesh = _box()
     shown = drawable(mesh)

@@ -156,6 +156,11 @@ old_config() {
     fi
 }
 
+# A version that did not come into use is not the one that --rollback means.
+discard() {
+    if [ "$dry" = 0 ] && [ "$(in_use)" != "$release" ]; then rm -rf "$release"; fi
+}
+
 # Remove old versions, except the previous one, for --rollback.
 forget_but() {
     local old
@@ -177,6 +182,7 @@ udev)
 install)
     before=$(in_use)
     make_user
+    trap discard EXIT
     install_programs
     run install -d -m 755 "$home"
     if [ -n "$config" ]; then
@@ -186,7 +192,6 @@ install)
         run install -m 644 "$repo/pipeline.yaml" "$home/pipeline.yaml"
     fi
     run "$release/.venv/bin/huepose" validate "$home/pipeline.yaml" || {
-        run rm -rf "$release"
         old_config
         fail "the new version does not accept $home/pipeline.yaml${before:+; the installed version keeps running}"
     }
@@ -196,7 +201,6 @@ install)
         [ -n "$before" ] || fail "see journalctl -u 'huepose@*'"
         old_config
         use "$before"
-        run rm -rf "$release"
         fail "the previous version is back"
     fi
     forget_but "$release" "$before"

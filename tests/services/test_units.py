@@ -285,7 +285,11 @@ def _script(path, lines):
 
 
 def _roll_back(folder):
-    command = ["bash", str(folder / "install.sh"), "--rollback", "--prefix", str(folder / "opt")]
+    return _run_installer(folder, "--rollback")
+
+
+def _run_installer(folder, *arguments):
+    command = ["bash", str(folder / "install.sh"), *arguments, "--prefix", str(folder / "opt")]
     path = f"{folder / 'bin'}:{os.environ['PATH']}"
     return subprocess.run(
         command, env={**os.environ, "PATH": path}, capture_output=True, text=True, timeout=60
@@ -319,6 +323,23 @@ def test_a_rollback_installs_the_units_of_that_version_and_runs_only_its_workers
     calls = (two_versions / "calls").read_text().splitlines()
     order = ["daemon-reload", "stop huepose@*.service", "restart --no-block huepose.target"]
     assert [line for line in calls if line in order] == order
+
+
+def test_a_version_that_could_not_be_installed_is_not_the_previous_one(two_versions):
+    """The disk is full after the environment was made."""
+    for name, lines in {
+        "bin/getent": "exit 0",
+        "bin/usermod": "exit 0",
+        "bin/python3.11": "echo /usr/bin/python3",
+        "uv": '[ "$1" = venv ] || exit 1\nfor last; do :; done\nmkdir -p "$last"',
+    }.items():
+        _script(two_versions / name, lines)
+    (two_versions / "VERSION").write_text("3\n")
+    assert _run_installer(two_versions).returncode == 1
+    assert sorted(path.name for path in (two_versions / "opt/releases").iterdir()) == ["1", "2"]
+    done = _run_installer(two_versions, "--rollback")
+    assert done.returncode == 0, done.stderr
+    assert (two_versions / "opt/.venv").readlink() == two_versions / "opt/releases/1/.venv"
 
 
 def test_uninstalling_leaves_the_configuration():

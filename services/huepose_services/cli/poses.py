@@ -39,9 +39,10 @@ class Gateway:
     credentials: Credentials | None
 
     def messages(self, tail: str, stopping: Callable[[], bool], *more: str) -> Iterator[Message]:
-        """The messages of a key, and of the keys `more`, until stopped. First come the latest ones. If none
-        arrive, the cause is printed to stderr."""
+        """The messages of a key, and of the list of objects (`more`), until stopped. First come the latest
+        ones. If none of the key arrive, the cause is printed to stderr."""
         from huepose_protos.client import Reader
+        from huepose_protos.messages import ObjectsMessage
 
         files = {} if self.credentials is None else self.credentials._asdict()
         keys = [f"huepose/*/*/remote/{each}" for each in (tail, *more)]
@@ -59,7 +60,8 @@ class Gateway:
                         say(f"the gateway at {self.endpoint} is gone; waiting for it")
                 message = reader.next(_LOOK_EVERY_S)
                 if message is not None:
-                    since = float("inf")  # until the link is lost
+                    if not (more and isinstance(message, ObjectsMessage)):
+                        since = float("inf")  # until the link is lost
                     yield message
                 elif now - since > _SAY_AFTER_S:
                     since = float("inf")
@@ -69,10 +71,10 @@ class Gateway:
         from huepose_protos.reach import why_unreached
 
         if connected:
-            names = ", or `readers` there does not name this certificate" if self.credentials else ""
+            why = "no object is seen" if tail.startswith("pose/") else "a gateway does not show all keys"
             return (
-                f"connected to {self.endpoint}, but nothing is published on {tail}: no pipeline runs "
-                f"there{names}"
+                f"connected to {self.endpoint}, but nothing is published on {tail}: {why}, or a worker is "
+                "missing there; `huepose status` there says which"
             )
         if self.credentials is None:
             return why_unreached([self.endpoint], None)

@@ -276,6 +276,26 @@ def test_poses_are_printed_on_another_machine_the_latest_at_once(start, authorit
     assert printer.wait(5.0) == 0
 
 
+@pytest.mark.parametrize("wanted", ["pose/**", "mustard"])
+def test_the_command_says_why_no_pose_comes_while_the_pipeline_runs(start, huepose, wanted):
+    """Also for one object, while the list of objects comes."""
+    one, listed = start(), threading.Event()
+    entry = ObjectEntry(object="mustard", max_instances=1, searching=1)
+
+    def tell() -> None:
+        while not listed.wait(0.1):
+            one.tracker.put(one.tracker.keys.objects, ObjectsMessage(publish_ns=1, objects=[entry]))
+
+    teller = threading.Thread(target=tell)
+    teller.start()
+    try:
+        said = huepose("poses", wanted, "--gateway", f"127.0.0.1:{one.port}").stderr.readline()
+    finally:
+        listed.set()
+        teller.join()
+    assert "no object is seen, or a worker is missing there; `huepose status` there says which" in said
+
+
 def test_a_client_survives_a_gateway_that_starts_later_and_restarts(base_port):
     with PoseClient(f"tcp/127.0.0.1:{base_port + 9}") as client:
         assert client.next(0.2) is None

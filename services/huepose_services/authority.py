@@ -204,9 +204,14 @@ def _pem(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 
 def _write(path: Path, data: bytes) -> None:
-    """Write all of a file or nothing; only its user can read it."""
-    fresh = path.with_name(path.name + ".new")
-    with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as file:
+    """Write all of a file or nothing; only its user can read it. Root writes for the folder's user, as whom
+    a gateway may run."""
+    fresh, folder = path.with_name(path.name + ".new"), path.parent.stat()
+    fresh.unlink(missing_ok=True)
+    # Not through a link that this user has put there.
+    with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+        if os.geteuid() == 0:
+            os.fchown(file.fileno(), folder.st_uid, folder.st_gid)
         file.write(data)
         file.flush()
         os.fsync(file.fileno())

@@ -1,5 +1,6 @@
 """The files of `huepose secure` admit the right readers, and a reader's certificate can be revoked."""
 
+import os
 import shlex
 import socket
 import ssl
@@ -102,6 +103,22 @@ def _listens(folder):
     server.shutdown(socket.SHUT_RDWR)
     server.close()
     thread.join()
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root writes for another user")
+def test_what_root_revokes_can_be_read_by_the_user_of_the_services(tmp_path):
+    """The gateway reads the list as that user, who owns the folder."""
+    authority = Authority.make(tmp_path / "secure", ["localhost"], 30)
+    authority.add("arm", 30)
+    for path in (authority.folder, *authority.folder.iterdir()):
+        os.chown(path, 65534, 65534)
+    secret = tmp_path / "secret"
+    secret.write_text("of root")
+    (authority.folder / "revoked.pem.new").symlink_to(secret)
+    authority.revoke("arm")
+    authority.add_hosts(["robot.local"], 30)
+    assert {path.stat().st_uid for path in authority.folder.iterdir()} == {65534}
+    assert (secret.read_text(), secret.stat().st_uid) == ("of root", 0)
 
 
 def test_another_name_of_the_gateway_gets_a_certificate_that_readers_accept(tmp_path, capsys):

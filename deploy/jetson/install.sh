@@ -9,6 +9,7 @@
 #   sudo ./install.sh --purge        these, configuration, data and the user
 # --dry-run prints what would be done and changes nothing. Run the installer again after a change of pipeline.yaml.
 set -euo pipefail
+umask 022 # the services run as another user
 here=$(cd "$(dirname "$0")" && pwd)
 bundled=0
 if [ -f "$here/VERSION" ]; then bundled=1 repo=$here; else repo=$(cd "$here/../.." && pwd); fi

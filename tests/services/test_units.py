@@ -288,11 +288,11 @@ def _roll_back(folder):
     return _run_installer(folder, "--rollback")
 
 
-def _run_installer(folder, *arguments):
+def _run_installer(folder, *arguments, umask=0o022):
     command = ["bash", str(folder / "install.sh"), *arguments, "--prefix", str(folder / "opt")]
     path = f"{folder / 'bin'}:{os.environ['PATH']}"
     return subprocess.run(
-        command, env={**os.environ, "PATH": path}, capture_output=True, text=True, timeout=60
+        command, env={**os.environ, "PATH": path}, capture_output=True, text=True, timeout=60, umask=umask
     )
 
 
@@ -325,16 +325,35 @@ def test_a_rollback_installs_the_units_of_that_version_and_runs_only_its_workers
     assert [line for line in calls if line in order] == order
 
 
-def test_a_version_that_could_not_be_installed_is_not_the_previous_one(two_versions):
-    """The disk is full after the environment was made."""
+def _bundle(folder, uv):
+    """Make the folder a bundle of a third version; uv: the script that installs it."""
     for name, lines in {
         "bin/getent": "exit 0",
         "bin/usermod": "exit 0",
+        "bin/udevadm": "exit 0",
         "bin/python3.11": "echo /usr/bin/python3",
-        "uv": '[ "$1" = venv ] || exit 1\nfor last; do :; done\nmkdir -p "$last"',
+        "uv": "for last; do :; done\n" + uv,
     }.items():
-        _script(two_versions / name, lines)
-    (two_versions / "VERSION").write_text("3\n")
+        _script(folder / name, lines)
+    for name in ("VERSION", "pipeline.yaml", "70-huepose-cameras.rules"):
+        (folder / name).write_text("3\n")
+
+
+def test_the_services_can_read_the_programs_whatever_the_umask(two_versions):
+    written = "#!/bin/sh\\nmkdir -p \\$4\\necho > \\$4/huepose.target"
+    program = f'printf "{written}" > "$VIRTUAL_ENV/bin/huepose"; chmod +x "$VIRTUAL_ENV/bin/huepose"'
+    _bundle(two_versions, f'if [ "$1" = venv ]; then mkdir -p "$last/bin"; else {program}; fi')
+    done = _run_installer(two_versions, umask=0o077)
+    assert done.returncode == 0, done.stderr
+    release = (two_versions / "opt/.venv").readlink().parent
+    for path in (release, *release.rglob("*")):
+        needed = 0o055 if path.is_dir() or path.name == "huepose" else 0o044
+        assert path.stat().st_mode & needed == needed, path
+
+
+def test_a_version_that_could_not_be_installed_is_not_the_previous_one(two_versions):
+    """The disk is full after the environment was made."""
+    _bundle(two_versions, '[ "$1" = venv ] || exit 1\nmkdir -p "$last"')
     assert _run_installer(two_versions).returncode == 1
     assert sorted(path.name for path in (two_versions / "opt/releases").iterdir()) == ["1", "2"]
     done = _run_installer(two_versions, "--rollback")

@@ -1,6 +1,6 @@
 """A light client: it reads the messages of any machine, with nothing but zenoh, msgspec and numpy.
 
->>> with Reader(["tcp/127.0.0.1:17448"], "huepose/*/*/pose/**") as reader:    # doctest: +SKIP
+>>> with Reader(pose_endpoints(), "huepose/*/*/pose/**") as reader:    # doctest: +SKIP
 ...     while (message := reader.next(1.0)) is not None:
 ...         print(message.object, message.state, message.translation)
 """

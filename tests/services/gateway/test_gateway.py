@@ -10,6 +10,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+import zenoh
 
 from huepose_protos import PoseClient, decode, encode
 from huepose_protos.client import open_session
@@ -24,6 +25,7 @@ from huepose_protos.messages import (
 )
 from huepose_services.gateway import _Said, answer_of
 from tests.services.conftest import until
+from tests.services.sessions import listening
 
 from .conftest import Running, credentials, tls
 
@@ -350,6 +352,31 @@ def test_the_twenty_lines_of_the_documentation_print_poses(start):
     process.communicate()
     position = json.loads(json.dumps(pose.translation))
     assert got[0].startswith(f"{pose.object} {pose.instance} TRACKING {position} ")
+
+
+def test_the_twenty_lines_of_the_documentation_survive_a_gateway_that_does_not_answer(base_port):
+    """It is connected, but hangs; then it goes on."""
+    endpoint, key = f"tcp/127.0.0.1:{base_port}", "huepose/local/cam0/remote/pose/mustard/0"
+    with zenoh.open(listening(endpoint)) as session:
+        kept: list[zenoh.Query] = []
+        session.declare_queryable("huepose/local/cam0/remote/**", kept.append)
+        process = subprocess.Popen(
+            [sys.executable, "-c", twenty_lines(), endpoint], stdout=subprocess.PIPE, text=True
+        )
+        got: list[str] = []
+        reader = threading.Thread(target=lambda: got.append(process.stdout.readline()))
+        reader.start()
+        until(lambda: kept and process.poll() is None)
+
+        def say() -> None:
+            time.sleep(0.1)
+            session.put(key, encode(example(PoseMessage)))
+
+        until(lambda: got, 10.0, say)
+        process.kill()
+        reader.join()
+        process.communicate()
+    assert got[0].startswith(f"{example(PoseMessage).object} ")
 
 
 def test_the_worker_processes_of_a_camera_and_a_gateway(pipeline, huepose, base_port, wait_until):

@@ -289,7 +289,8 @@ class PoseClient(Client):
             return self._history[which][-1]
 
     def silent_s(self, object: str | None = None, instance: int | None = None) -> float:
-        """Seconds since the last message of an instance (see `latest`) came; infinite before the first."""
+        """Seconds since the last message of an instance (see `latest`) came, without repetitions; infinite
+        before the first."""
         with self._changed:
             which = self._which(object, instance)
             return float("inf") if which is None else time.monotonic() - self._arrived[which]

@@ -116,6 +116,17 @@ def test_poses_of_two_seconds_are_interpolated_at_any_rate_and_older_ones_forgot
     assert client.at(newest_ns - 3 * SECOND) is None
 
 
+def test_repetitions_of_a_suspect_pose_are_not_new_messages(client, monkeypatch):
+    """As they come once a second from a camera that has stopped."""
+    now = time.monotonic()
+    for second, state in enumerate(("TRACKING", "SUSPECT", "SUSPECT", "SUSPECT")):
+        monkeypatch.setattr("huepose_protos.pose_client.time.monotonic", lambda at=now + second: at)
+        client._on_sample(pose("lab", 1, SECOND, state=state, publish_ns=(1 + second) * SECOND))
+    assert client.silent_s() == pytest.approx(2.0)
+    assert client.latest(max_age_s=1.5) is None
+    assert [one.state for one in heard(client)] == ["TRACKING", "SUSPECT"]
+
+
 def heard(client):
     return iter(lambda: client.next(0.0), None)
 

@@ -54,6 +54,7 @@ for target in "${targets[@]}"; do
     cp "$work/own/$wheel" "$folder/wheels/"
     cp deploy/jetson/install.sh deploy/jetson/70-huepose-cameras.rules pipeline.yaml "$folder/"
     printf '%s\n' "$version" > "$folder/VERSION"
+    printf '%s\n' "$python" > "$folder/PYTHON"
     # Check that the bundle is complete and fits the target.
     "$UV" pip install --quiet --dry-run --offline --no-index --find-links "$folder/wheels" --target "$work/none" \
         --python-version "$python" --python-platform "$arch-manylinux_2_$glibc" "huepose[${extras// /,}]==$version"

@@ -67,16 +67,17 @@ make_user() {
     return 0
 }
 
-# The services cannot see /home and /root, so Python must be elsewhere.
+# The services cannot see /home and /root, so Python must be elsewhere. The wheels of a bundle fit one version.
 find_python() {
-    local name
-    for name in "${PYTHON:-}" python3.11 python3.12 python3.10 python3 /usr/bin/python3.{11,12,10}; do
+    local name versions="3.11 3.12 3.10"
+    [ ! -f "$here/PYTHON" ] || versions=$(cat "$here/PYTHON")
+    for name in "${PYTHON:-}" $(printf 'python%s ' $versions) python3 $(printf '/usr/bin/python%s ' $versions); do
         [ -n "$name" ] || continue
         "$name" -c 'import sys
-assert (3, 10) <= sys.version_info[:2] <= (3, 12) and not sys.base_prefix.startswith(("/home/", "/root/"))
-print(sys.executable)' 2>/dev/null && return
+assert "%d.%d" % sys.version_info[:2] in sys.argv and not sys.base_prefix.startswith(("/home/", "/root/"))
+print(sys.executable)' $versions 2>/dev/null && return
     done
-    fail "no Python 3.10, 3.11 or 3.12 outside of /home and /root. Install one: apt-get install python3"
+    fail "no Python ${versions// / or } outside of /home and /root. Install one: apt-get install python3"
 }
 
 # Each version has its own folder, so that the previous one can come back; $prefix/.venv links to the one in use.

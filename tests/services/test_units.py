@@ -351,6 +351,17 @@ def test_the_services_can_read_the_programs_whatever_the_umask(two_versions):
         assert path.stat().st_mode & needed == needed, path
 
 
+@pytest.mark.parametrize("version", ["3.10", "3.12"])
+def test_a_bundle_is_installed_with_the_python_that_its_wheels_fit(two_versions, version):
+    """Also if another one is there."""
+    _bundle(two_versions, f'echo "$*" >> {two_versions}/uv_calls; exit 1')
+    for name in ("3.10", "3.11", "3.12"):
+        _script(two_versions / f"bin/python{name}", f"echo /usr/bin/python{name}")
+    (two_versions / "PYTHON").write_text(f"{version}\n")
+    assert _run_installer(two_versions).returncode == 1
+    assert f"--python /usr/bin/python{version} " in (two_versions / "uv_calls").read_text()
+
+
 def test_a_version_that_could_not_be_installed_is_not_the_previous_one(two_versions):
     """The disk is full after the environment was made."""
     _bundle(two_versions, '[ "$1" = venv ] || exit 1\nmkdir -p "$last"')

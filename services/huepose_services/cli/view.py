@@ -115,7 +115,9 @@ def _open(arguments: argparse.Namespace, config: Config) -> Any:
     if arguments.web is None:
         return sinks.window(config.viewer.memory_mib)
     viewer = msgspec.structs.replace(
-        config.viewer, web_port=arguments.web, grpc_port=free_port(config.viewer.grpc_port)
+        config.viewer,
+        web_port=arguments.web,
+        grpc_port=free_port(config.viewer.grpc_port, arguments.web),
     )
     recording, address = sinks.served(viewer)
     say(f"the page is {address}")

@@ -92,7 +92,7 @@ def why_unreachable(host: str, port: int, context: ssl.SSLContext | None) -> str
     without TLS."""
     try:
         link = socket.create_connection((host, port), timeout=_WITHIN_S)
-    except socket.gaierror:
+    except (socket.gaierror, UnicodeError):  # UnicodeError: a label of it is empty or too long
         return "no computer of this name is known"
     except ConnectionRefusedError:
         return "no program listens there"

@@ -52,6 +52,12 @@ def test_a_host_without_a_gateway_is_reported():
         assert client.why_silent() == said
 
 
+@pytest.mark.parametrize("host", ["robot..local", "x" * 64])
+def test_a_name_that_no_computer_has_is_reported(host):
+    with PoseClient(host) as client:
+        assert client.why_silent().endswith("no computer of this name is known")
+
+
 def test_a_silent_peer_does_not_delay_closing():
     with socket.create_server(("127.0.0.1", 0)) as mute:
         session = open_session([f"127.0.0.1:{mute.getsockname()[1]}"])

@@ -28,9 +28,15 @@ def wait_until_still(client: PoseClient, name: str) -> np.ndarray:
         sys.exit(f"no camera: {client.why_silent()}")
     began, start, say_at = 0.0, None, time.monotonic() + SAY_EVERY_S
     mounted = False  # the camera pose was given at least once
+    instances: set[int] = set()
     while True:
-        now = client.at(object=name)  # the pose predicted to now; None without a recent pose
-        sure = now is not None and now.state == "TRACKING"
+        while (pose := client.next(0.0)) is not None:
+            if pose.object == name:
+                instances.add(pose.instance)
+        # The poses predicted to now, None without a recent one; the first instance that is TRACKING counts.
+        poses = (client.at(object=name, instance=instance) for instance in sorted(instances))
+        now = next((one for one in poses if one is not None and one.state == "TRACKING"), None)
+        sure = now is not None
         mounted = mounted or client.camera().mount is not None or (sure and now.T_parent_obj is not None)
         placed = sure and (now.T_parent_obj is not None or not mounted)
         if not sure or start is None or np.linalg.norm(now.T_cam_obj[:3, 3] - start) > STILL_M:

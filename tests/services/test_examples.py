@@ -215,6 +215,30 @@ def test_nothing_is_picked_before_it_is_at_rest(base_port: int) -> None:
 
 
 @pytest.mark.live
+def test_of_two_instances_the_one_that_is_tracked_is_picked(base_port: int) -> None:
+    """The other one was picked before, and is LOST. Of two that are TRACKING it is always the same."""
+    endpoint = f"tcp/127.0.0.1:{base_port}"
+    still = {"velocity_linear": (0.0, 0.0, 0.0), "velocity_angular": (0.0, 0.0, 0.0)}
+    gone = {"state": "LOST", "translation": None, "quaternion": None, "covariance": None}
+    none = {"velocity_linear": None, "velocity_angular": None}
+
+    def lies(number: int) -> PoseMessage:
+        first = {"instance": 4, **gone, **none}
+        others = [{"instance": 5 + k, "translation": (0.0, 0.0, 0.5 + 0.25 * k), **still} for k in range(2)]
+        return tracked(**[first, *others][2 - number % 3])
+
+    with published(endpoint, lies, camera_after=-1):
+        picked = subprocess.run(
+            example("03_pick_when_still.py", "tea_box", endpoint),
+            check=True,
+            capture_output=True,
+            text=True,
+            timeout=60.0,
+        )
+    assert [float(n) for n in re.findall(r"\d\.\d*", picked.stdout)] == pytest.approx([0.1, 0.2, 0.8])
+
+
+@pytest.mark.live
 def test_nothing_is_picked_while_the_pose_of_a_moving_camera_is_unknown(base_port: int) -> None:
     """The object is at rest in the camera's frame, but its position in the robot's frame is unknown."""
     endpoint, late = f"tcp/127.0.0.1:{base_port}", threading.Event()

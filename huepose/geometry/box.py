@@ -57,7 +57,7 @@ class Box(NamedTuple):
     def slices(self, width: int, height: int) -> tuple[slice, slice]:
         """Rows and columns of the pixels that the box touches inside an image of that size."""
         b = self.clipped(width, height)
-        return (slice(int(np.floor(b.y)), int(np.ceil(b.y1))), slice(int(np.floor(b.x)), int(np.ceil(b.x1))))
+        return slice(math.floor(b.y), math.ceil(b.y1)), slice(math.floor(b.x), math.ceil(b.x1))
 
     @staticmethod
     def of_mask(mask: Bool) -> Box | None:

@@ -71,6 +71,13 @@ def compose(*transforms: Float) -> Float64:
     return orthonormalised(T)
 
 
+def moved(T: Float, point: Float, motion: Float) -> Float64:
+    """The pose T (4, 4) of a body after a motion [v, w] (6,), metres and radians: `point` (3,) in the body's
+    axes moves by v, and the body rotates about it by w, in the axes of T's parent."""
+    R = rotation_exp(motion[3:]) @ T[:3, :3]
+    return orthonormalised(make(R, T[:3, :3] @ point + T[:3, 3] + motion[:3] - R @ point))
+
+
 def apply(T: Float, points: Float) -> Float64:
     """Transform points (..., 3)."""
     return np.asarray(points @ T[:3, :3].T + T[:3, 3], dtype=np.float64)

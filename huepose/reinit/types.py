@@ -77,10 +77,8 @@ class Prior:
         if self.velocity is None:
             return self.T_cam_obj
         seconds = float(np.clip((stamp_ns - self.stamp_ns) * 1e-9, -LONGEST_AHEAD_S, LONGEST_AHEAD_S))
-        lever = self.lever(middle_obj)
-        moved = se3.perturb(self.T_cam_obj, se3.carrying(lever) @ self.velocity * seconds)
-        moved[:3, 3] += lever - moved[:3, :3] @ middle_obj
-        return moved
+        about_middle = se3.carrying(self.lever(middle_obj)) @ self.velocity
+        return se3.moved(self.T_cam_obj, middle_obj, about_middle * seconds)
 
     def covariance_at(self, stamp_ns: int, middle_obj: Float64) -> Float64 | None:
         """The covariance at another timestamp, grown over the time in between, in which the object may rotate

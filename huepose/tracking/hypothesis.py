@@ -13,6 +13,7 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.terms import Terms
 from huepose.select.distinct import RIGHT
+from huepose.support.jit import jit
 from huepose.tracking.motion import Reach
 from huepose.tracking.subject import Subject
 from huepose.tracking.usual import Usual
@@ -79,10 +80,28 @@ class Anchor:
 def same_pose(subject: Subject, T_a: Float64, T_b: Float64, share: float = SAME) -> bool:
     """Whether two poses (4, 4) are closer than a share of the diameter, up to the rotations under which the
     object looks the same."""
-    points = subject.points
-    here, there = se3.apply(T_a, points[0]), se3.apply(T_b, points.reshape(-1, 3)).reshape(points.shape)
-    apart = np.linalg.norm(there - here, axis=2).mean(axis=1).min()
-    return bool(apart < share * subject.surface.diameter_m)
+    # Copies: for each kind of array the kernel would be compiled once more.
+    here, there = np.array(T_a, np.float64, order="C"), np.array(T_b, np.float64, order="C")
+    return bool(_apart_m(subject.points, here, there) < share * subject.surface.diameter_m)
+
+
+@jit
+def _apart_m(points: Float64, T_a: Float64, T_b: Float64) -> float:
+    """Mean distance of points (N, 3) = points[0] at two poses (4, 4); the smallest for those rotations under
+    which the object looks the same that give points (K, N, 3)."""
+    least = np.inf
+    for k in range(points.shape[0]):
+        total = 0.0
+        for i in range(points.shape[1]):
+            square = 0.0
+            for r in range(3):
+                off = T_b[r, 3] - T_a[r, 3]
+                for c in range(3):
+                    off += T_b[r, c] * points[k, i, c] - T_a[r, c] * points[0, i, c]
+                square += off * off
+            total += np.sqrt(square)
+        least = min(least, total / points.shape[1])
+    return least
 
 
 def distinct(subject: Subject, opinions: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:

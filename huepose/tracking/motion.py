@@ -46,10 +46,7 @@ def predicted(
     old."""
     if velocity is None or seconds > MAX_AHEAD_S:
         return T_cam_obj
-    centre = surface.centre_cam(T_cam_obj)
-    R = se3.rotation_exp(velocity[3:] * seconds)
-    moved = se3.make(R, centre + velocity[:3] * seconds - R @ centre)
-    return se3.compose(moved, T_cam_obj)
+    return se3.moved(T_cam_obj, surface.middle_obj, velocity * seconds)
 
 
 def same_motion(

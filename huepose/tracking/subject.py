@@ -74,7 +74,10 @@ class Subject:
         """Unit vector (3,) from the object to the camera, object axes; of those that look the same, the one
         nearest to `near`."""
         eye = -T_cam_obj[:3, :3].T @ self.surface.centre_cam(T_cam_obj)
-        alike = (eye / max(se3.length(eye), 1e-9) @ self._rotations_alike).reshape(-1, 3)
+        eye /= max(se3.length(eye), 1e-9)
+        if len(self.model.equivalents) == 1:
+            return np.asarray(eye)
+        alike = (eye @ self._rotations_alike).reshape(-1, 3)
         return np.asarray(alike[np.argmax(alike @ near)])
 
     @cached_property

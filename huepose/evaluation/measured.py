@@ -225,6 +225,10 @@ def _track(path: Path, rows: Sequence[Row], record: Row) -> Measured:
         own = [moments[i] for i in in_order]
         false[in_order] = false_tracking(own)
         counts[in_order] = coverable(own)
+        if not counts[in_order].any():
+            # As in a summary: an object that is visible but never confirmed has coverage 0.
+            counts[in_order] = [moment.visible for moment in own]
+            tracking[in_order] = False
     shares = {
         **_pose_shares(rows, labelled & ~gone),
         "coverage_tracking": Share.of(100.0 * tracking, counts),

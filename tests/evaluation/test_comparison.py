@@ -129,6 +129,18 @@ def test_false_tracking_is_counted_from_the_states(tmp_path: Path) -> None:
     assert list(comparison.groups) == ["run0", "run1", "run2"]
 
 
+@pytest.mark.parametrize(("good", "state"), [(True, "SUSPECT"), (False, "TRACKING")])
+def test_an_object_that_is_no_longer_confirmed_has_coverage_0(tmp_path: Path, good: bool, state: str) -> None:
+    before = write_track(tmp_path / "a.json", [True] * 60, ["TRACKING"] * 60, sequences=3)
+    after = write_track(tmp_path / "b.json", [good] * 60, [state] * 60, sequences=3)
+    comparison, changes = compared(before, after)
+    coverage = changes["coverage_tracking"]
+    assert (coverage.before, coverage.after, coverage.verdict) == (100.0, 0.0, "worse")
+    assert coverage in comparison.worse
+    summary = json.loads((tmp_path / "b.json").read_text())["summary"]
+    assert summary["coverage_tracking"] == coverage.after
+
+
 def test_many_sequences_are_the_units_of_resampling(tmp_path: Path) -> None:
     right, states = [True] * 60, ["TRACKING"] * 60
     path = write_track(tmp_path / "a.json", right, states, sequences=10)

@@ -15,21 +15,23 @@ that folder that belong to the split. Recorded sequences are played for the caus
 Each film is played with every cause (`studies.stress.causes`), `alone` and `with_loop`: then a nearly perfect
 perception answers at 5 Hz after 0.35 s.
 
-Results stay in OUT/rows.jsonl; the same command continues an interrupted run. Each split has its own seed and
-objects: parameters that were fitted on `fit` and chosen on `choose` are reported on `report`.
+Results stay in OUT/rows.jsonl; the same command continues an interrupted run. The report is on the films of
+the command, whatever else is in OUT. Each split has its own seed and objects: parameters that were fitted on
+`fit` and chosen on `choose` are reported on `report`.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 
 from huepose.evaluation.result_files import write_json
+from huepose.evaluation.tables.figures import rows_of
+from huepose.evaluation.tables.journal import Journal
 from huepose.support.progress import progress
-from studies.stress.playing import KINDS, MODES, OBJECTS, SPLITS, Job, missing, models_of, played
+from studies.stress.playing import KINDS, MODES, OBJECTS, SPLITS, Job, asked_for, missing, models_of, played
 from studies.stress.report import summary, text
 
 
@@ -56,16 +58,14 @@ def main() -> None:
         numbers = range(arguments.first, arguments.first + arguments.films)
         jobs = [Job(arguments.split, n, objects, None, modes, arguments.kind) for n in numbers]
         models_of(arguments.split, objects)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    path = arguments.out / "rows.jsonl"
-    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    with ProcessPoolExecutor(arguments.processes, get_context("spawn")) as pool, path.open("a") as out:
-        tasks = [pool.submit(played, job) for job in missing(jobs, rows)]
+    journal = Journal(arguments.out / "rows.jsonl", {})
+    with ProcessPoolExecutor(arguments.processes, get_context("spawn")) as pool:
+        left = missing(jobs, rows_of([*journal.entries.values()]))
+        tasks = {pool.submit(played, job): job for job in left}
         for task in progress(as_completed(tasks), "films", len(tasks)):
-            for row in task.result():
-                out.write(json.dumps(row) + "\n")
-            out.flush()
-    rows = [json.loads(line) for line in path.read_text().splitlines()]
+            job = tasks[task]
+            journal.add(f"{job.name}, {' and '.join(job.modes)}", {"rows": task.result()})
+    rows = asked_for(jobs, rows_of([*journal.entries.values()]))
     result = summary([row for row in rows if row["frames"]])
     write_json(arguments.out / "summary.json", result)
     print(text(result))

@@ -83,7 +83,7 @@ which results are reported."""
 KINDS = ("carried", "plain", "leaves", "carried", "swapped")
 MODES = ("alone", "with_loop")
 
-Row = dict[str, Any]
+Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -117,6 +117,12 @@ def missing(jobs: Sequence[Job], rows: Iterable[Row]) -> list[Job]:
     return [job for job in left if job.modes and (job.name, None) not in done]
 
 
+def asked_for(jobs: Sequence[Job], rows: Iterable[Row]) -> list[Row]:
+    """The rows of these jobs and modes."""
+    modes = {job.name: (*job.modes, None) for job in jobs}
+    return [row for row in rows if row.get("mode") in modes.get(row["job"], ())]
+
+
 @cache
 def models_of(split: str, objects: Path | str) -> Mapping[str, ReferenceModel]:
     if isinstance(objects, Path):
@@ -145,7 +151,7 @@ def played(job: Job) -> list[Row]:
     if film is None:
         return [{"job": job.name, "frames": []}]
     seed = SPLITS[job.split].seed
-    model, rows = models[film.object], []
+    model, rows = models[film.object], list[Row]()
     for run in runs(film, model, seed):
         for mode in job.modes:
             tracker = Tracker({film.object: model})

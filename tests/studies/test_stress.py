@@ -1,10 +1,16 @@
 """The frames and starts that a stressed tracker gets, and the figures of a run."""
 
+import json
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.model import ReferenceModel
+from studies.stress import __main__ as stress
 from studies.stress.causes import JUMP_AT, JUMP_FRAMES, loaded_schedule, runs
 from studies.stress.films import AWAY_AT, Film, Seen, _leaving
 from studies.stress.objects import builtin_meshes, look_alike
@@ -95,3 +101,33 @@ def test_a_job_played_in_one_mode_is_still_missing_in_the_other() -> None:
     left = missing([new, half, empty], rows)
     assert [(job.number, job.modes) for job in left] == [(0, both), (1, ("with_loop",))]
     assert missing([half], [*rows, {"job": half.name, "mode": "with_loop"}]) == []
+
+
+def test_an_interrupted_run_is_continued_and_other_runs_in_the_folder_do_not_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played = []
+
+    def play(job: Job) -> list[dict]:
+        played.append(job.name)
+        state = "SUSPECT" if job.objects == "unseen" else "TRACKING"
+        one = {"job": job.name, "mode": "alone", "cause": "step 1", "film": job.name}
+        return [one | {"frames": [(0, True, False, state, True)] * 5}] * 2
+
+    def run(*words: str) -> dict:
+        command = ["stress", "--out", str(tmp_path), "--films", "3", "--modes", "alone", *words]
+        monkeypatch.setattr(sys, "argv", command)
+        stress.main()
+        return json.loads((tmp_path / "summary.json").read_text())["alone"]["all"]
+
+    monkeypatch.setattr(stress, "ProcessPoolExecutor", lambda count, _: ThreadPoolExecutor(count))
+    monkeypatch.setattr(stress, "models_of", lambda *_: {})
+    monkeypatch.setattr(stress, "played", play)
+    assert run()["runs"] == 6
+    kept = tmp_path / "rows.jsonl"
+    kept.write_bytes(kept.read_bytes()[:-20])  # ended while it wrote the last film
+    found = run()
+    assert (found["runs"], found["coverage"], len(played)) == (6, 100.0, 4)
+    found = run("--objects", "unseen")
+    assert (found["runs"], found["coverage"]) == (6, 0.0)
+    assert run()["coverage"] == 100.0

@@ -209,12 +209,18 @@ def _changes(
 
 def _false_change(before: Measured, after: Measured, margin: float) -> Change:
     """Change of the number of false positives, by frame. Frames with rows in only one of the files are left
-    out."""
+    out. Of the same frames those without rows and false positives count, too: a file has their number."""
     one_sided = before.frames ^ after.frames
     frames = sorted((before.frames | after.frames | {*before.false, *after.false}) - one_sided)
-    old, new = (Share.of(np.array([100.0 * m.false.get(f, 0.0) for f in frames])) for m in (before, after))
-    interval = difference_intervals({"false": (old, new)}, frames)["false"]
-    return _change(FALSE_PER_FRAME, old, new, interval, frames, margin)
+    same = before.searched == after.searched and not one_sided
+    empty = range((before.searched or 0) - len(frames) if same else 0)
+    old, new = (
+        Share.of(np.array([*(100.0 * m.false.get(f, 0.0) for f in frames), *(0.0 for _ in empty)]))
+        for m in (before, after)
+    )
+    units: list[Hashable] = [*frames, *empty]
+    interval = difference_intervals({"false": (old, new)}, units)["false"]
+    return _change(FALSE_PER_FRAME, old, new, interval, units, margin)
 
 
 def _change(

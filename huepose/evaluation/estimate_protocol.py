@@ -121,13 +121,14 @@ def evaluate_estimates(
     setup = EstimateSetup(targets, estimator, options, **more)
     rows: list[EstimateRow] = []
     false: list[FalsePose] = []
-    skipped = 0
+    skipped = frames = 0
     images = [(scene, image) for scene in scenes for image in scene.image_ids]
     for scene, image in progress(images, "frames"):
         answers = setup.image(scene, image)
         rows += answers.rows
         false += answers.false
         skipped += answers.without_model
+        frames += answers.sample is not None
         if on_frame is not None and answers.sample is not None:
             for seed in options.seeds:
                 on_frame(answers.sample, [row for row in answers.rows if row.seed == seed])
@@ -139,7 +140,7 @@ def evaluate_estimates(
             fix="Onboard the objects, or check --objects, --bundles and --min-visib.",
         )
     rows.sort(key=lambda r: options.seeds.index(r.seed))
-    return EstimateResult(rows, false, skipped, options.boxes, options.masks, options.seeds)
+    return EstimateResult(rows, false, skipped, options.boxes, options.masks, options.seeds, frames)
 
 
 @dataclass(frozen=True, eq=False)

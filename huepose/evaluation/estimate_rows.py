@@ -81,7 +81,8 @@ class FalsePose:
 
 @dataclass(frozen=True, eq=False)
 class EstimateResult:
-    """All rows of all seeds. skipped_no_bundle: number of labels without a reference model."""
+    """All rows of all seeds. skipped_no_bundle: number of labels without a reference model; frames: number of
+    evaluated images, also of those without rows; None if unknown."""
 
     rows: Sequence[EstimateRow]
     false: Sequence[FalsePose]
@@ -89,6 +90,7 @@ class EstimateResult:
     boxes: str
     masks: str
     seeds: Sequence[int]
+    frames: int | None = None
 
     def summary(self) -> dict[str, Any]:
         """The figures in percent, see `summary_of`."""
@@ -100,6 +102,7 @@ class EstimateResult:
         rows, false = [row.as_json() for row in self.rows], [pose.as_json() for pose in self.false]
         settings = {
             "skipped_no_bundle": self.skipped_no_bundle,
+            "frames": self.frames,
             "boxes": self.boxes,
             "masks": self.masks,
             "seed": self.seeds[0] if len(self.seeds) == 1 else list(self.seeds),

@@ -124,7 +124,8 @@ class Measured:
     """A result file. keys: unique keys of the N rows; names: names of the parts of a key; unit: the unit of
     the bootstrap in words; units: the unit of each row; groups: the scene or sequence of each row; shares:
     by the keys of the kind's figures; frames: those with rows; false: number of false poses or boxes by
-    frame, mean over seeds; phantoms: number of tracked poses of no instance, over all frames."""
+    frame, mean over seeds; phantoms: number of tracked poses of no instance, over all frames; searched:
+    number of all frames, also of those without rows, None if the file does not have it."""
 
     path: Path
     kind: Kind
@@ -139,6 +140,7 @@ class Measured:
     frames: frozenset[tuple[str, int]]
     false: Mapping[tuple[str, int], float]
     phantoms: float = 0.0
+    searched: int | None = None
 
 
 def read_measured(path: Path) -> Measured:
@@ -187,10 +189,11 @@ def _read(
     rows = record["rows"]
     keys = [tuple(row[name] for name in names) for row in rows]
     one = [name for name in names if name != "seed"]
+    summary = record.get("summary", {})
     return Measured(
         path,
         kind,
-        {key: value for key, value in record.get("summary", {}).items() if key in kind.settings},
+        {key: value for key, value in summary.items() if key in kind.settings},
         names,
         rows,
         keys,
@@ -201,6 +204,7 @@ def _read(
         frozenset((key[0], key[1]) for key in keys),
         false or {},
         phantoms,
+        summary.get("frames"),
     )
 
 

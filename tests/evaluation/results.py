@@ -102,8 +102,11 @@ def write_track(
     return path
 
 
-def write_perception(path: Path, found: Sequence[bool], false: Sequence[int] = ()) -> Path:
-    """One instance a frame, with masks of IoU 0.8 where it is found; false: frames of false boxes."""
+def write_perception(
+    path: Path, found: Sequence[bool], false: Sequence[int] = (), frames: int | None = None
+) -> Path:
+    """One instance a frame, with masks of IoU 0.8 where it is found; false: frames of false boxes; frames:
+    number of all frames, by default those with an instance."""
     rows = [
         {
             "scene": "000001",
@@ -123,5 +126,6 @@ def write_perception(path: Path, found: Sequence[bool], false: Sequence[int] = (
         for i, yes in enumerate(found)
     ]
     wrong = [{"scene": "000001", "image": i, "object": 7} for i in false]
-    write_json(path, {"summary": {"asked_for": 3}, "rows": rows, "false": wrong})
+    summary = {"asked_for": 3, "frames": len(found) if frames is None else frames}
+    write_json(path, {"summary": summary, "rows": rows, "false": wrong})
     return path

@@ -185,6 +185,15 @@ def test_changes_of_perception_are_compared(tmp_path: Path) -> None:
     assert (changes["false_per_100_frames"].change, comparison.moved) == (pytest.approx(100 * 2 / 12), None)
 
 
+def test_frames_without_objects_count_among_those_with_false_positives(tmp_path: Path) -> None:
+    """Five frames with an object, 95 without; a false positive in eight of these, then in two."""
+    before = write_perception(tmp_path / "a.json", [True] * 5, range(10, 18), frames=100)
+    after = write_perception(tmp_path / "b.json", [True] * 5, [10, 40], frames=100)
+    change = compared(before, after)[1]["false_per_100_frames"]
+    assert (change.before, change.after) == (pytest.approx(8.0), pytest.approx(2.0))
+    assert (change.wins, change.losses) == (7, 1)
+
+
 @pytest.mark.parametrize(
     ("content", "found"),
     [

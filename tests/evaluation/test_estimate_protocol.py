@@ -231,6 +231,16 @@ def test_a_pose_that_hardly_overlaps_the_label_is_not_assigned(models) -> None:
     assert result.rows[0].reason == "The poses of the object that are kept are at other positions."
 
 
+def test_the_summary_counts_images_without_objects(models) -> None:
+    labels = {0: (truth(0, 5, pose_at(0.0)),), 1: (), 2: ()}
+    scene = MemoryScene("s", labels)
+    detector = Boxes(Detection("box", Box(10, 10, 20, 20), 0.5))
+    estimator = ScriptedEstimator(lambda frame, query: estimate_of(query, pose_at(0.0)))
+    options = EstimateOptions(boxes="detect")
+    summary = evaluate_estimates([scene], Targets(models), estimator, options, detector=detector).summary()
+    assert (summary["frames"], summary["instances"], summary["false_poses"]) == (3, 1, 2)
+
+
 def test_no_poses_and_no_labels_give_no_assignment() -> None:
     assert assigned([], [], lambda name, T: None) == ({}, [])
 

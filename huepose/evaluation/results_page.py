@@ -64,7 +64,8 @@ def with_cut(document: str, records: Mapping[str, Mapping[str, Any]]) -> str:
 def _section(name: str, record: Mapping[str, Any]) -> str:
     facts = record.get("origin")
     if not isinstance(facts, Mapping):
-        raise InputError(name, found="no origin", expected="a result of `huepose eval`", fix="Measure again.")
+        expected = "a result of `huepose eval tables`, `estimate`, `track`, `poses` or `perception`"
+        raise InputError(name, found="no origin", expected=expected, fix="If it is one, measure again.")
     lines = [f"## {name}", "", f"`{facts['command']}`", ""]
     lines += [f"{facts['date']}; {facts['machine']}; {facts['versions']}.", ""]
     if "tables" in record:

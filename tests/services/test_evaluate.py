@@ -80,6 +80,9 @@ def test_poses_of_a_live_run_are_scored(scoring: list[str], tmp_path: Path, caps
     assert record["rows"][0]["T_cam_obj"] is None
     assert "50.0 % of frames" in (said := capsys.readouterr().out)
     assert "first pass" not in said
+    page = tmp_path / "page.md"
+    assert main(["eval", "results", str(tmp_path / "result.json"), "--out", str(page)]) == 0
+    assert "| all frames | 2 | 50.0 |" in page.read_text()
 
 
 def test_the_output_says_that_only_the_first_of_several_passes_counts(

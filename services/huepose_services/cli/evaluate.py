@@ -248,8 +248,8 @@ def _add_results(verbs: Any) -> None:
     parser = verbs.add_parser(
         "results",
         help="make a page from result files",
-        description="Write a Markdown page from result files of `huepose eval tables`, `estimate`, `track` "
-        "or `perception`, each with its command, machine, versions and date.",
+        description="Write a Markdown page from result files of `huepose eval tables`, `estimate`, `track`, "
+        "`poses` or `perception`, each with its command, machine, versions and date.",
     )
     parser.add_argument("results", type=Path, nargs="+", metavar="RESULT.json", help="result files")
     add_path(parser, "--out", "FILE.md", "page to write", required=True)

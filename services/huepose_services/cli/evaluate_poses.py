@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from huepose.evaluation.poses_protocol import evaluate_poses, read_messages
-from huepose.evaluation.result_files import write_json
+from huepose.evaluation.result_files import origin, write_json
 from huepose.evaluation.targets import Targets
 from huepose.support.words import known
 from huepose_services.cli.evaluate_scenes import figure_table, open_scenes, states_line
@@ -20,7 +20,7 @@ def call(arguments: argparse.Namespace) -> int:
     (scene,), models = open_scenes(fast_ycb, bop, arguments.bundles)
     record = evaluate_poses(messages, scene, Targets(models)).as_json()
     print(_report(record["summary"]))
-    write_json(arguments.json, record)
+    write_json(arguments.json, record | {"origin": origin()})
     return 0
 
 

@@ -170,3 +170,9 @@ def test_only_sequences_of_the_requested_objects_are_opened(data: Path, tmp_path
 def test_missing_data_or_meshes_are_named(data: Path, tmp_path: Path, refused: Says) -> None:
     assert "--ycbv" in refused(["eval", "tables", "--out", tmp_path / "o"])
     assert "--models" in refused(["eval", "tables", "--fast-ycb", data / "fast", "--out", tmp_path / "o"])
+
+
+@pytest.mark.parametrize("option", ["--quick", "--every"])
+def test_a_number_of_frames_under_one_is_refused(option: str, tmp_path: Path, refused: Says) -> None:
+    said = refused(["eval", "tables", "--unseen", tmp_path, "--out", tmp_path / "o", option, "0"])
+    assert f"argument {option}: found 0, expected a whole number, 1 or more" in said

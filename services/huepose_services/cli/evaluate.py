@@ -16,6 +16,7 @@ from huepose_services.cli.options import (
     add_profile,
     add_several,
     add_some_of,
+    from_one,
     from_zero,
     number_of,
 )
@@ -215,7 +216,7 @@ def _add_tables(verbs: Any) -> None:
     methods = "methods to compare (all three); tracking has paper and full"
     add_some_of(parser, "--methods", ("paper", "colorpair", "full"), methods)
     sample = "use only about N images spread over the scenes, and the first N frames of each sequence"
-    parser.add_argument("--quick", type=int, metavar="N", help=sample)
+    add_number(parser, "--quick", None, sample, kind=from_one)
     parser.add_argument(
         "--boxes",
         default="paper",
@@ -223,7 +224,7 @@ def _add_tables(verbs: Any) -> None:
         help="paper: true boxes moved by up to a tenth, as in the paper; or a JSON file in BOP's "
         "format (paper)",
     )
-    add_several(parser, "--every", "N", "feed every N-th frame (1 5)", [1, 5], kind=int)
+    add_several(parser, "--every", "N", "feed every N-th frame (1 5)", [1, 5], kind=from_one)
     add_one_of(parser, "--protocol", ("free", "roft"), "as in eval track (free)")
     parser.add_argument(
         "--start",

@@ -70,9 +70,10 @@ def watched(
     absent = number = 0
     for number, (_, poses) in enumerate(followed(frames, tracker, loop, Sight(*models.values()))):
         sure = [pose for pose in poses if pose.state is State.TRACKING]
-        absent += any(pose.object not in there for pose in sure)
+        away = number < HZ * SECONDS_BEFORE
+        absent += any(pose.object not in there or (away and pose.object == name) for pose in sure)
         errors = [error_of(models[name], p.T_cam_obj, there[name]) for p in sure if p.object == name]
-        if number >= HZ * SECONDS_BEFORE and min(errors, default=np.inf) < metrics.RECALL_FRACTION:
+        if not away and min(errors, default=np.inf) < metrics.RECALL_FRACTION:
             return number / HZ - SECONDS_BEFORE, absent, number + 1
     return None, absent, number + 1
 

@@ -4,10 +4,13 @@ five requests a second."""
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from huepose.datasets.types import GroundTruth
+from studies import arriving
 from studies.arriving import SECONDS_BEFORE, Row, film, report, watched
 from studies.live import HZ
 
@@ -25,6 +28,18 @@ def test_an_object_that_arrives_after_six_seconds_is_found_soon_among_many(
     assert found_s is not None
     assert found_s < 0.9
     assert count == round((SECONDS_BEFORE + found_s) * HZ) + 1
+
+
+def test_an_object_is_absent_until_it_appears(tea_box, standing, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is TRACKING in the last ten frames without it, too."""
+    first = HZ * SECONDS_BEFORE - 10
+    poses = [SimpleNamespace(object="tea_box", state="TRACKING", T_cam_obj=standing)]
+    played = [(None, poses if number >= first else []) for number in range(first + 20)]
+    monkeypatch.setattr(arriving, "followed", lambda *_: played)
+    for name in ("Tracker", "ReinitLoop", "Sight"):
+        monkeypatch.setattr(arriving, name, lambda *_, **__: None)
+    monkeypatch.setattr(arriving, "State", SimpleNamespace(TRACKING=poses[0].state))
+    assert watched([], {"tea_box": tea_box}, {"tea_box": standing}, "tea_box") == (0.0, 10, first + 11)
 
 
 def test_the_report_counts_objects_found_soon() -> None:

@@ -166,6 +166,18 @@ def test_wrong_input_ends_with_2_and_says_what_to_do(
     assert not result.exists()
 
 
+def test_boxes_of_a_file_need_scenes_named_by_a_number(
+    bundles: Path, scene: Path, tmp_path: Path, refused
+) -> None:
+    """Otherwise no box of the file would belong to any scene, and every label would be missed."""
+    boxes = tmp_path / "boxes.json"
+    found = {"scene_id": 9, "image_id": 0, "category_id": 5, "bbox": [20, 15, 20, 20], "score": 0.9}
+    boxes.write_text(json.dumps([found]))
+    named = scene.rename(tmp_path / "heaps")
+    words = ["eval", "estimate", "--bundles", bundles, "--boxes", boxes, "--json", tmp_path / "r"]
+    assert "scenes whose name is no number (heaps)" in refused([*words, "--bop", named])
+
+
 def test_a_scene_without_labels_is_named(bundles: Path, scene: Path, tmp_path: Path, refused) -> None:
     (scene / "scene_gt.json").unlink()
     command = f"eval estimate --bop {scene} --bundles {bundles} --json {tmp_path / 'r'}".split()

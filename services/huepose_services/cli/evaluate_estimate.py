@@ -50,6 +50,13 @@ def call(arguments: argparse.Namespace) -> int:
             fix="Evaluate one set at a time.",
         )
     boxes, given = box_source(arguments.boxes)
+    if given is not None and (unnumbered := [s.name for s in scenes if not s.name.isdigit()]):
+        raise InputError(
+            f"--boxes {arguments.boxes}",
+            found=f"scenes whose name is no number ({listed(unnumbered)})",
+            expected="folders named by the scene_id that the file gives",
+            fix="Rename them; evaluate sets with the same numbers one at a time.",
+        )
     options = EstimateOptions(boxes, arguments.masks, arguments.min_visib, tuple(arguments.seed))
     targets = Targets(models, arguments.objects)
     # In boxes of the detector, the presence decides what is found, not the quality.

@@ -27,6 +27,8 @@ from huepose.evaluation.calibration import Judged, Worth, read_judged, worth
 from huepose.evaluation.summary import table
 from huepose.geometry.arrays import Bool
 from huepose.geometry.mesh import Mesh
+from huepose.model.io import model_path
+from huepose.onboarding.bop_folder import bop_models
 from huepose.scenes.rendered import write_rendered_set
 from huepose.scenes.shapes import demo_objects
 from huepose.support.words import known
@@ -70,8 +72,7 @@ def main() -> None:
         _altered(work / f"cal_size_{k}", partial(_resized, factor=factor), 104 + k)
         for k, factor in enumerate(SIZES)
     ]
-    if not any(own.glob("*.huepose")):
-        run_huepose(["onboard-bop", str(builtin / "models"), "--out", str(own), "--paper"])
+    onboarded(builtin / "models", own)
     parts = []
     for method in arguments.methods:
         n = arguments.processes * SHARE[method]
@@ -172,10 +173,9 @@ def _all(parts: Sequence[Judged]) -> Judged:
 
 
 def _altered(scene: Path, change: Callable[[Mesh], Mesh], seed: int) -> Path:
-    """A scene of the built-in objects, each changed."""
-    if not (scene / "scene_gt.json").exists():
-        meshes = {name: change(mesh) for name, mesh in demo_objects().items()}
-        write_rendered_set(scene, meshes, {name: k for k, name in enumerate(meshes, 1)}, 12, seed)
+    """A scene of the built-in objects, each changed; missing frames are rendered."""
+    meshes = {name: change(mesh) for name, mesh in demo_objects().items()}
+    write_rendered_set(scene, meshes, {name: k for k, name in enumerate(meshes, 1)}, 12, seed)
     return scene
 
 
@@ -192,19 +192,28 @@ def rendered_scene(scene: Path, models: str, frames: int, seed: int, *more: str)
     """A scene of `huepose render-scenes`, rendered if it is missing or incomplete."""
     there = len(BopScene(scene).image_ids) if (scene / "scene_gt.json").exists() else 0
     if there < frames:
-        run_huepose(["render-scenes", "--models", models, "--out", str(scene),
-                 "--frames", str(frames), "--seed", str(seed), *more])  # fmt: skip
+        _run("render-scenes", "--models", models, "--out", str(scene),
+             "--frames", str(frames), "--seed", str(seed), *more)  # fmt: skip
     return scene
 
 
 def bundles_of(models: Path, bundles: Path | None, work: Path) -> Path:
     """The reference models of a BOP models folder; if none are given, they are onboarded under `work`."""
-    if bundles is not None:
-        return bundles
-    here = work / "bundles"
-    if not any(here.glob("*.huepose")):
-        run_huepose(["onboard-bop", str(models), "--out", str(here), "--paper"])
-    return here
+    return onboarded(models, work / "bundles") if bundles is None else bundles
+
+
+def onboarded(models: Path, out: Path) -> Path:
+    """A folder with the reference models of a BOP models folder, made if one of them is missing."""
+    if not all(model_path(out, model.name).exists() for model in bop_models(models)):
+        _run("onboard-bop", str(models), "--out", str(out), "--paper")
+    return out
+
+
+def _run(*words: str) -> None:
+    """Run a command of `huepose`; if it fails or is interrupted, the study ends, too."""
+    code = run_huepose(list(words))
+    if code:
+        raise SystemExit(code)
 
 
 def _arguments() -> argparse.Namespace:

@@ -1,13 +1,16 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from huepose.believe.quality import TIE, features, quality_fits
 from huepose.evaluation.calibration import Judged, worth
+from huepose.model.io import model_path
 from huepose.support.errors import InputError
+from studies.quality import __main__ as quality
 from studies.quality import fit as quality_fit
 from studies.quality.fit import FEATURES, Names
 from tests.evaluation.judged import PLAIN, judged
@@ -127,3 +130,24 @@ def test_the_tracking_page_names_the_data_of_its_fit() -> None:
     page = " ".join((root / "docs" / "tracking_measured.md").read_text().split())
     for said in origin.values():
         assert " ".join(said.split()) in page
+
+
+def test_the_fit_ends_if_its_data_are_not_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else it would go on with the scenes and reference models that are there."""
+    asked = []
+
+    def interrupted(words: list[str]) -> int:
+        asked.append(words[0])
+        return 130
+
+    monkeypatch.setattr(quality, "run_huepose", interrupted)
+    with pytest.raises(SystemExit, match="130"):
+        quality.rendered_scene(tmp_path / "scene", "builtin", 3, 0)
+    monkeypatch.setattr(quality, "bop_models", lambda _: [SimpleNamespace(name=name) for name in "ab"])
+    (tmp_path / "bundles").mkdir()
+    model_path(tmp_path / "bundles", "a").touch()
+    with pytest.raises(SystemExit, match="130"):
+        quality.bundles_of(tmp_path, None, tmp_path)
+    model_path(tmp_path / "bundles", "b").touch()
+    assert quality.bundles_of(tmp_path, None, tmp_path) == tmp_path / "bundles"
+    assert asked == ["render-scenes", "onboard-bop"]

@@ -85,18 +85,24 @@ class PictureFolder:
         """`errors_SEQUENCE.png`: errors over time."""
         scored = [row for row in result.rows if row.scored]
         for name, own in grouped(scored, lambda row: row.sequence).items():
+            seeds = len({row.seed for row in own})
             lines = {
-                f"{number}/{ordinal}": (
+                f"{number}/{ordinal}" + (f", seed {seed}" if seeds > 1 else ""): (
                     np.array([float(row.frame) for row in part]),
                     np.array([_millimetres(row) for row in part]),
                 )
-                for (number, ordinal), part in grouped(own, lambda r: (r.object, r.ordinal)).items()
+                for (number, ordinal, seed), part in grouped(own, _line).items()
             }
             picture = line_plot(lines, name, "frame", "ADD in mm (a gap: no pose)", marks=True)
             self._write(f"errors_{name}.png", picture)
 
     def _write(self, name: str, picture: UInt8) -> None:
         write_picture(self._folder / name, picture)
+
+
+def _line(row: TrackRow) -> tuple[int | str, int, int]:
+    """The line of a plot to which a row belongs."""
+    return row.object, row.ordinal, row.seed
 
 
 def _millimetres(row: TrackRow) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from huepose.believe.state import State
+from huepose.evaluation import pictures
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
 from huepose.evaluation.pictures import RIGHT, TRUTH, WRONG, PictureFolder, draw_rows
 from huepose.evaluation.sources import TruthSource
@@ -94,6 +95,20 @@ def test_files_of_a_tracking_run(models, tmp_path: Path) -> None:
     folder.tracks(result)
     names = sorted(p.name for p in tmp_path.rglob("*.png"))
     assert names == ["000001_000000_s0.png", "000001_000004_s0.png", "errors_000001.png"]
+
+
+def test_each_seed_has_its_own_line(models, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = {}
+    monkeypatch.setattr(
+        pictures, "line_plot", lambda lines, *_, **__: drawn.update(lines) or np.zeros((4, 4))
+    )
+    result = evaluate_tracking(
+        [SCENE], Targets(models), lambda known: Resting(), lambda scene, seed: Sources(TruthSource()),
+        TrackOptions(seeds=(0, 3)),
+    )  # fmt: skip
+    PictureFolder(tmp_path, Targets(models)).tracks(result)
+    assert list(drawn) == ["5/0, seed 0", "7/0, seed 0", "5/0, seed 3", "7/0, seed 3"]
+    assert all((np.diff(frames) > 0).all() for frames, _ in drawn.values())
 
 
 def test_the_error_names_a_folder_that_cannot_be_made(models, tmp_path: Path) -> None:

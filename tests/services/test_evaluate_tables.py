@@ -102,6 +102,11 @@ def test_the_whole_command_on_stand_ins(data: Path, tmp_path: Path, capsys) -> N
     equivalent.write_text(json.dumps({"000048/0/0": {"T_obj_obj": [np.eye(4).tolist()]}}))
     assert main([*command, "--methods", "full", "--equivalent", str(equivalent)]) == 2
     assert 'results with the settings {"equivalent": null}' in capsys.readouterr().err
+    unlisted = shutil.copytree(data / "ycbv", tmp_path / "ycbv")
+    (unlisted / "test_targets_bop19.json").unlink()
+    command = ["eval", "tables", "--ycbv", str(unlisted), "--out", str(out), "--threads", "1"]
+    assert main([*command, "--methods", "full"]) == 2  # other labels count without the list
+    assert 'results with the settings {"min_visib": 0.0}' in capsys.readouterr().err
 
 
 @pytest.mark.timeout(600)

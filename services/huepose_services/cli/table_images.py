@@ -55,6 +55,7 @@ def images(
     common = {name: getattr(arguments, name) for name in ("profile", "boxes", "seed", "objects")} | {
         "version": __version__,
         "models": models_digest(targets.models),
+        "min_visib": options.min_visib,
         "boxes_file": digest(Path(arguments.boxes)) if given is not None else None,
         "equivalent": digest(equivalent) if equivalent else None,
     }

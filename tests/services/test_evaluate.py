@@ -18,6 +18,7 @@ from huepose.estimation import EstimatorConfig
 from huepose.geometry import se3
 from huepose.model import save_model
 from huepose.support.errors import InputError
+from huepose_services.cli import evaluate_estimate, evaluate_track
 from huepose_services.cli.evaluate_perception import _report
 from huepose_services.cli.evaluate_scenes import open_bop
 from huepose_services.cli.main import main
@@ -164,6 +165,23 @@ def test_wrong_input_ends_with_2_and_says_what_to_do(
     command = ["eval", "estimate", "--bop", str(scene), "--bundles", str(bundles), "--json", str(result)]
     assert named in refused([*command, *extra])
     assert not result.exists()
+
+
+@pytest.mark.parametrize(
+    ("module", "options"), [(evaluate_estimate, "EstimateOptions"), (evaluate_track, "TrackOptions")]
+)
+def test_a_seed_that_is_given_twice_counts_once(
+    module, options: str, bundles: Path, scene: Path, tmp_path: Path, refused, monkeypatch
+) -> None:
+    """Otherwise n would be twice the number of instances."""
+
+    def stop(*given: object) -> None:
+        raise InputError(f"seeds {[value for value in given if isinstance(value, tuple)]}")
+
+    monkeypatch.setattr(module, options, stop)
+    verb = module.__name__.rpartition("_")[2]
+    words = ["eval", verb, "--bop", scene, "--bundles", bundles, "--json", tmp_path / "r", "--seed", 3, 0, 3]
+    assert "seeds [(3, 0)]" in refused(words)
 
 
 def test_boxes_of_a_file_need_scenes_named_by_a_number(

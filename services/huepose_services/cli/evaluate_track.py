@@ -106,7 +106,8 @@ def _options(arguments: argparse.Namespace) -> TrackOptions:
             "--delayed", found="it with --protocol free", fix="Use --protocol roft, or --init alone."
         )
     init = arguments.init or delayed or "estimate"
-    return TrackOptions(arguments.protocol, arguments.every, tuple(arguments.seed), init, delayed)
+    seeds = tuple(dict.fromkeys(arguments.seed))
+    return TrackOptions(arguments.protocol, arguments.every, seeds, init, delayed)
 
 
 def _report(summary: dict[str, Any]) -> str:

@@ -29,7 +29,8 @@ Made by `huepose eval results` from result files. Do not edit this page by hand:
 - ADD: mean distance between the model's points at the answered and at the true pose.
 - ADD-S: the same, with each point compared with the nearest one. It forgives a turn that keeps the shape.
 - Recall: share of instances with an error under a tenth of the object's diameter, in percent.
-- AUC: area under the accuracy curve from 0 to 0.1 m, in percent.
+- AUC: area under the accuracy curve from 0 to 0.1 m, in percent. VOCap, and all of Table II: as the
+  toolboxes of YCB-Video and ROFT sum it, which gives more if there are few poses.
 - 95 % of draws: the 95 % interval of a bootstrap. n: number of instances.
 
 [Tables](tables.md) says what is measured and why families of objects differ.

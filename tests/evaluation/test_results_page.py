@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from huepose.datasets.files import read_json
+from huepose.evaluation.metrics import auc_voc, four_figures
 from huepose.evaluation.result_files import origin, result_names
 from huepose.evaluation.results_page import BEGIN, END, results_page, with_cut
 from huepose.evaluation.tables.table import Head, Table
@@ -98,6 +100,14 @@ def test_documents_agree_with_the_result_files() -> None:
     assert (ROOT / "docs" / "results.md").read_text() == results_page(records)
     readme = (ROOT / "README.md").read_text()
     assert readme == with_cut(readme, records)
+
+
+def test_the_page_says_which_area_table_two_has() -> None:
+    """VOCap, which is larger than the plain area."""
+    errors_m = np.array([0.0, 0.05, 1.0, 1.0, 1.0, 1.0])
+    plain = four_figures(errors_m, errors_m, np.full(6, 0.2))["auc_add"]
+    assert (plain, auc_voc(errors_m)) == (pytest.approx(25.0), pytest.approx(100.0 / 3.0))
+    assert "VOCap, and all of Table II" in " ".join(results_page({}).split())
 
 
 def test_a_result_without_origin_is_refused() -> None:

@@ -15,15 +15,17 @@ import numpy as np
 import pytest
 
 from huepose.estimation import EstimatorConfig
+from huepose.evaluation import measured, states
 from huepose.geometry import se3
 from huepose.model import save_model
 from huepose.support.errors import InputError
 from huepose_services.cli import evaluate_estimate, evaluate_track
 from huepose_services.cli.evaluate_perception import _report
-from huepose_services.cli.evaluate_scenes import open_bop
+from huepose_services.cli.evaluate_scenes import open_bop, states_line
 from huepose_services.cli.main import main
 from huepose_services.cli.pose_tables import PoseSources
 from tests.evaluation.conftest import reference_model
+from tests.evaluation.results import write_track
 from tests.services.conftest import Says
 
 T_CAM_OBJ = se3.make(se3.rotation_exp([0.3, 0.2, 0.1]), [0.02, 0.01, 0.6])
@@ -165,6 +167,21 @@ def test_wrong_input_ends_with_2_and_says_what_to_do(
     command = ["eval", "estimate", "--bop", str(scene), "--bundles", str(bundles), "--json", str(result)]
     assert named in refused([*command, *extra])
     assert not result.exists()
+
+
+def test_the_output_says_how_many_objects_were_never_confirmed(tmp_path: Path) -> None:
+    """Coverage counts from confirmation on, so it does not show these."""
+    written = [
+        json.loads(write_track(tmp_path / "a.json", [True] * 9, [state] * 9).read_text())
+        for state in ("TRACKING", "SUSPECT")
+    ]
+    moments = [[measured._moment(row) for row in record["rows"]] for record in written]
+    both = states.combined([states.report(own) for own in moments])
+    summary = {**vars(both), "coverage_tracking": both.coverage_tracking, "false_tracking_rate": 0.0}
+    said = "TRACKING in 100.0 % of visible frames from confirmation on"
+    assert said in (line := states_line(summary))
+    assert "confirmed after 0.00 s (never: 1)" in line
+    assert "never" not in states_line({**summary, "never_confirmed": 0})
 
 
 @pytest.mark.parametrize(

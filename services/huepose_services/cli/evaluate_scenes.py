@@ -155,11 +155,12 @@ def figure_table(first: str, blocks: Mapping[Any, Mapping[str, Any]], more: Mapp
 def states_line(summary: Mapping[str, Any]) -> str:
     """The figures about the states, in words."""
     s = summary
+    never = f" (never: {s['never_confirmed']:g})" if s["never_confirmed"] else ""
     return (
-        f"TRACKING in {known(s['coverage_tracking'], unit=' %')} of visible frames, "
+        f"TRACKING in {known(s['coverage_tracking'], unit=' %')} of visible frames from confirmation on, "
         f"false in {known(s['false_tracking_frames'], 'g')} "
         f"({known(s['false_tracking_rate'], '.2f', ' %')}), LOST in {known(s['lost_frames'], 'g')}; "
-        f"confirmed after {known(s['confirmed_after_s'], '.2f', ' s')}, "
+        f"confirmed after {known(s['confirmed_after_s'], '.2f', ' s')}{never}, "
         f"declared lost after {known(s['declared_lost_after_frames'], 'g', ' frames')}, "
         f"reacquired after {known(s['reacquired_after_s'], '.2f', ' s')}"
     )

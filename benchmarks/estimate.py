@@ -26,13 +26,13 @@ from huepose.evaluation.estimate_rows import EstimateRow, summary_of
 from huepose.evaluation.instances import labels_of
 from huepose.evaluation.metrics import FIGURES
 from huepose.evaluation.summary import span, table
-from huepose.evaluation.tables.journal import Journal
+from huepose.evaluation.tables.journal import Journal, models_digest
 from huepose.evaluation.targets import Targets, read_equivalents
 from huepose.model import ReferenceModel, load_models
 from huepose.support.progress import progress
 
 COMMON = ("boxes", "min_visib", "seed", "objects", "equivalent")
-"""Options that all results in a file share."""
+"""Options that all results in a file share, beside the reference models."""
 
 
 Image = tuple[str, int]
@@ -45,7 +45,8 @@ def main() -> None:
     models = load_models(arguments.bundles)
     targets = Targets(models, arguments.objects)
     equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
-    journal = Journal(arguments.json, {name: str(getattr(arguments, name)) for name in COMMON})
+    common = {name: str(getattr(arguments, name)) for name in COMMON}
+    journal = Journal(arguments.json, {**common, "models": models_digest(targets.models)})
     images = [
         (scene, image)
         for scene in map(BopScene, arguments.bop)

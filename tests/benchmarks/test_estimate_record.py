@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from huepose.support.errors import InputError
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
+import estimate
 from estimate import key_of, piece_of, summary
 
 
@@ -60,3 +62,21 @@ def test_answers_of_other_options_are_not_mixed(tmp_path: Path) -> None:
         file.write_text(other)
         with pytest.raises(InputError, match="not a journal"):
             Journal(file, {"seed": 0})
+
+
+def test_results_of_other_reference_models_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["estimate.py", "--bop", "scene", "--bundles", "bundles", "--json", str(tmp_path / "answers")]
+    monkeypatch.setattr(sys, "argv", words)
+    monkeypatch.setattr(estimate, "BopScene", lambda path: SimpleNamespace(path=path, image_ids=()))
+
+    def run(digest: str) -> None:
+        model = SimpleNamespace(name="box", object_id=5, digest=digest)
+        monkeypatch.setattr(estimate, "load_models", lambda _: {"box": model})
+        estimate.main()
+
+    run("one")
+    run("one")
+    with pytest.raises(InputError, match="models"):
+        run("other")

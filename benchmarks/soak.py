@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from huepose.drawing.plots import line_plot
-from huepose.support.files import write_picture
+from huepose.support.files import write_picture, write_text
 from huepose_services.chaos.memory import Said, growth
 from huepose_services.chaos.system import CHAIN, LivePipeline, SeenPose, gaps_s, too_old, wrong
 
@@ -57,7 +57,7 @@ def main() -> None:
             draw(pipeline.health_log, start, arguments.memory)
     print(json.dumps(result, indent=2))
     if arguments.json is not None:
-        arguments.json.write_text(json.dumps(result, indent=2) + "\n")
+        write_text(arguments.json, json.dumps(result, indent=2) + "\n")
 
 
 def draw(said: Said, start_s: float, path: Path) -> None:

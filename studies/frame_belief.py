@@ -25,6 +25,7 @@ import numpy as np
 from huepose.believe.frame import features
 from huepose.believe.logistic import Logistic, belief, write_fit
 from huepose.evaluation import metrics
+from huepose.evaluation.result_files import write_json
 from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.judge.borders import continued
@@ -113,7 +114,7 @@ def main() -> None:
     factors = {k: round(v, 3) for k, v in fit.factors.items() if v > 0}
     entry = {"constant": round(fit.constant, 3), "factors": factors}
     rows = {name: [asdict(row) for row in rows] for name, rows in parts.items()}
-    arguments.json.write_text(json.dumps({"fit": entry, "report": report, "rows": rows}))
+    write_json(arguments.json, {"fit": entry, "report": report, "rows": rows})
     if arguments.write:
         write_fit("frame", entry)
     print(json.dumps({"fit": entry, "report": report}, indent=1))

@@ -1,4 +1,6 @@
 import json
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -6,10 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from huepose.believe.logistic import Logistic
 from huepose.believe.quality import TIE, features, quality_fits
 from huepose.evaluation.calibration import Judged, worth
 from huepose.model.io import model_path
 from huepose.support.errors import InputError
+from studies import frame_belief
 from studies.quality import __main__ as quality
 from studies.quality import fit as quality_fit
 from studies.quality.fit import FEATURES, Names
@@ -151,3 +155,18 @@ def test_the_fit_ends_if_its_data_are_not_complete(tmp_path: Path, monkeypatch: 
     model_path(tmp_path / "bundles", "b").touch()
     assert quality.bundles_of(tmp_path, None, tmp_path) == tmp_path / "bundles"
     assert asked == ["render-scenes", "onboard-bop"]
+
+
+def test_the_rows_of_a_fit_are_written_into_a_new_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "new" / "fit.json"
+    monkeypatch.setattr(sys, "argv", ["frame_belief", "--bundles", "bundles", "--json", str(out)])
+    rows = [frame_belief.Row("film", 2, "step 1", "still", {"total": 1.0}, e, e) for e in (0.01, 0.5)]
+    monkeypatch.setattr(frame_belief, "ProcessPoolExecutor", ThreadPoolExecutor)
+    monkeypatch.setattr(frame_belief, "collect", lambda job: rows)
+    monkeypatch.setattr(frame_belief, "fitted", lambda rows, only: Logistic(0.5, {"total": 1.0}))
+    frame_belief.main()
+    record = json.loads(out.read_text())
+    assert record["fit"] == {"constant": 0.5, "factors": {"total": 1.0}}
+    assert len(record["rows"]["fit"]) == record["report"]["fit"]["rows"] == 2 * (15 + 24 + 8)

@@ -307,8 +307,9 @@ class ReinitLoop:
         be more; else the most doubtful one. None if all are tracked or arriving."""
         mine = [t for t in self._tracks.values() if t.object == slot.object]
         coming = {*self._fresh(), *taken}
+        here = {t.key for t in mine if t.T_cam_obj is not None} | {k for k in coming if k[0] == slot.object}
         lost = [t for t in mine if t.T_cam_obj is None and (slot.object, t.instance) not in coming]
-        if lost:
+        if lost and len(here) < slot.max_instances:
             return (slot.object, max(lost, key=lambda t: (t.stamp_ns, -t.instance)).instance)
         never_came = [
             k for k in self._outbox.instances

@@ -30,11 +30,10 @@ class Candidate:
 
 
 def missing(slot: ObjectSlot, tracks: Mapping[Key, TrackedPose], arriving: Mapping[str, int]) -> int:
-    """How many instances of an object are lost or were never seen. arriving: how many of each object are
-    acquired but not yet tracked."""
-    known = [t for key, t in tracks.items() if key[0] == slot.object]
-    lost = sum(t.T_cam_obj is None for t in known)
-    return max(0, lost + max(0, slot.max_instances - len(known)) - arriving.get(slot.object, 0))
+    """How many instances of an object are lost or were never seen, of as many as there may be. arriving: how
+    many of each object are acquired but not yet tracked."""
+    posed = sum(t.T_cam_obj is not None for key, t in tracks.items() if key[0] == slot.object)
+    return max(0, slot.max_instances - posed - arriving.get(slot.object, 0))
 
 
 def doubtful(track: TrackedPose, config: ReinitConfig) -> bool:

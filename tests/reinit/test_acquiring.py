@@ -43,6 +43,18 @@ def test_no_more_instances_than_wanted() -> None:
     assert loop.counters.rejected == 1
 
 
+@pytest.mark.parametrize(("most", "searched"), [(1, False), (2, True)])
+def test_a_lost_instance_is_searched_for_only_if_there_may_be_so_many(most: int, searched: bool) -> None:
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 2)])
+    both = [track(), track(instance=1, T=pose(0.3))]
+    loop.answer(1, result(loop.tick(0, both), 0))
+    loop.add(ObjectSlot("mug", most))
+    request = loop.tick(400 * MS, [track(stamp_ms=400), track("mug", 1, State.LOST, stamp_ms=400)])
+    assert (("mug", None) in asked(request)) == searched
+    found = loop.answer(500 * MS, result(request, 400, estimate(T=pose(0.3))))
+    assert [c.key for c in found] == ([("mug", 1)] if searched else [])
+
+
 @pytest.mark.parametrize(("quality", "taken"), [(0.05, True), (0.4, False)])
 def test_a_sure_estimate_elsewhere_replaces_a_track_that_is_most_likely_wrong(
     quality: float, taken: bool

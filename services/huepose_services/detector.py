@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
@@ -28,6 +29,9 @@ object."""
 FIRST_ASKS = 5
 """The first checks in a camera epoch, with one object after another, are made although objects are tracked:
 a false positive may have started a track."""
+
+MOST_BOXES = 64
+"""The largest number of boxes in a message (Detections)."""
 
 
 def make(bus: Bus, config: Config) -> DetectorWork:
@@ -99,7 +103,7 @@ class DetectorWork(Work):
         except WireError as error:
             self._bus.refuse(self._bus.keys.frame, error)
             return
-        found = self._hints.applied(found, header, request, started)
+        found = best_of_each(self._hints.applied(found, header, request, started))
         message = Detections(
             publish_ns=now_ns(),
             request_seq=request.seq,
@@ -136,3 +140,15 @@ class DetectorWork(Work):
             self._bus.health.warn_while("colours", order.exchanged or None)
             if order.exchanged:
                 self._bus.log.seldom("colours", order.exchanged)
+
+
+def best_of_each(found: Sequence[DetectedObject]) -> list[DetectedObject]:
+    """At most MOST_BOXES of some boxes, which are best first for each requested object: the first of each,
+    then the second of each, and so on."""
+    before: Counter[int] = Counter()
+    places = []
+    for box in found:
+        places.append(before[id(box.request)])
+        before[id(box.request)] += 1
+    kept = sorted(range(len(found)), key=places.__getitem__)[:MOST_BOXES]
+    return [found[k] for k in sorted(kept)]

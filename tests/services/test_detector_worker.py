@@ -6,12 +6,14 @@ from types import SimpleNamespace
 import msgspec
 import numpy as np
 
+from huepose.geometry import Box
 from huepose.perception.exchanged import ChannelOrder
 from huepose.perception.view_detector import ViewDetector
+from huepose_protos import decode, encode
 from huepose_protos.examples import GOLDEN, example
-from huepose_protos.messages import FrameHeader, PerceptionRequest, RequestedObject
+from huepose_protos.messages import Detections, FrameHeader, PerceptionRequest, RequestedObject
 from huepose_services import detector as worker
-from huepose_services.boxes import SearchedBoxes
+from huepose_services.boxes import SearchedBoxes, detected
 from huepose_services.detector import ASK_EVERY_NS, DetectorWork
 from huepose_services.models import outline
 from tests.services.fake_bus import FakeBus, sent
@@ -121,3 +123,21 @@ def test_a_request_about_a_frame_that_was_answered_waits_for_the_next_one():
         work.step()
     assert [(said.frame.frame_id, said.request_seq) for said in bus.said] == [(newer.frame_id, seen.seq)]
     assert work.due_ns() is None
+
+
+def test_more_boxes_than_a_message_can_have_are_left_out_last_of_each_object_first():
+    wanted = [RequestedObject(object=name, instance=None, wanted=40) for name in ("cup", "box")]
+    wanted.append(RequestedObject(object="can", instance=0))
+    request = msgspec.structs.replace(example(PerceptionRequest), objects=wanted)
+    finder = SearchedBoxes({}, ViewDetector({}))
+    finder.find = lambda *asked: [
+        detected(one, Box(k, 0.0, 1.0, 1.0)) for one in wanted for k in range(one.wanted)
+    ]
+    bus = FakeBus("detector")
+    work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []), check_camera=False)
+    pixels = (GOLDEN / "frame_payload.bin").read_bytes()
+    bus.arriving |= {FrameHeader: [(example(FrameHeader), pixels)], PerceptionRequest: [request]}
+    work.step()
+    boxes = decode(encode(bus.said[-1]), Detections).objects
+    left = {name: [b.box[0] for b in boxes if b.request.object == name] for name in ("cup", "box", "can")}
+    assert left == {"cup": list(range(32)), "box": list(range(31)), "can": [0]}

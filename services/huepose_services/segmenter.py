@@ -23,6 +23,7 @@ from huepose_services.runtime.work import Work
 
 # A ragged mask with more runs than this would leave no room in the header for the others: it is left out.
 _MAX_RUNS = 6000
+_MOST_MASKS = 8
 
 
 def make(bus: Bus, config: Config) -> SegmenterWork:
@@ -86,23 +87,26 @@ class SegmenterWork(Work):
             return MaskedObject(detection=detection, masks=[])
         masks = self._segmenter.segment(frame, Box(*detection.box), outline.diameter_m)
         runs = [runs_of(mask) for mask in masks if mask.any()]
-        return MaskedObject(detection=detection, masks=[m for m in runs if len(m.runs) <= _MAX_RUNS][:8])
+        return MaskedObject(
+            detection=detection, masks=[m for m in runs if len(m.runs) <= _MAX_RUNS][:_MOST_MASKS]
+        )
 
     def _publish(self, detections: Detections, masked: list[MaskedObject], payload: bytes) -> None:
-        message = Masks(
-            publish_ns=now_ns(),
-            request_seq=detections.request_seq,
-            request_ns=detections.request_ns,
-            frame=detections.frame,
-            objects=masked,
-            camera=detections.camera,
-        )
-        try:
-            self._bus.put_pixels(self._bus.keys.masks, message, payload)
-        except WireError:
-            # Too many runs for one header: keep only the first mask of each object, the most likely one.
-            self._bus.health.count("masks_left_out")
-            first = [msgspec.structs.replace(m, masks=m.masks[:1]) for m in masked]
-            self._bus.put_pixels(
-                self._bus.keys.masks, msgspec.structs.replace(message, objects=first), payload
-            )
+        # If all masks are too much for one message: the first of each object, the most likely one, or none.
+        for most in (_MOST_MASKS, 1, 0):
+            objects = [msgspec.structs.replace(m, masks=m.masks[:most]) for m in masked]
+            try:
+                message = Masks(
+                    publish_ns=now_ns(),
+                    request_seq=detections.request_seq,
+                    request_ns=detections.request_ns,
+                    frame=detections.frame,
+                    objects=objects,
+                    camera=detections.camera,
+                )
+                self._bus.put_pixels(self._bus.keys.masks, message, payload)
+                return
+            except ValueError:  # too many pixels, or (WireError) too many bytes
+                if not most:
+                    raise
+                self._bus.health.count("masks_left_out")

@@ -258,6 +258,10 @@ class TrackerWork(Work):
         if self._own.retired.includes(message.object, message.camera_epoch, message.instance):
             self._bus.health.count("corrections_of_retired")
             return
+        if message.object not in self._tracker.objects:
+            # One that was just added may be found before its model is loaded here, which takes seconds.
+            self._bus.health.count("corrections_of_unknown")
+            return
         try:
             check_number(message, self._intake.now())
             applied = self._tracker.correct(from_wire(Correction, message))

@@ -11,7 +11,7 @@ import pytest
 
 from huepose.geometry import se3
 from huepose.judge.borders import Contours
-from huepose.tracking import subject
+from huepose.tracking import Tracker, subject
 from huepose.tracking.types import Applied
 from huepose_protos.messages import CorrectionMessage, FrameHeader, ObjectEntry
 from huepose_services import first_frame, models
@@ -120,6 +120,15 @@ def test_a_correction_of_a_retired_instance_is_not_applied():
     work.step()
     assert work._tracker.corrections == [4]
     assert bus.health.counters["corrections_of_retired"] == 1
+
+
+def test_a_correction_of_an_object_that_is_still_being_loaded_is_no_error(capfd):
+    work, bus, _ = worker()
+    work._tracker = Tracker({})
+    bus.arriving[CorrectionMessage] = [CORRECTION]
+    work.step()
+    assert bus.health.counters == {"corrections_of_unknown": 1}
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize("removed", [True, False])

@@ -33,6 +33,7 @@ class TrackerStandIn:
     """Gives for every frame one object, TRACKING at the given pose."""
 
     instances: tuple[tuple[str, int], ...] = ()
+    objects: tuple[str, ...] = ("mug", CORRECTION.object)
     config = tracking.TrackerConfig()
     reach_s = 4.0
 

@@ -131,6 +131,8 @@ class ReinitWork(Work):
         counts = {entry.object: entry.max_instances for entry in objects.entries()}
         self._names_objects = bool(configured)
         self._of_file = {item.name: counts[item.name] for item in configured if item.name in counts}
+        self._orders_of_file: dict[str, ControlRequest] = {}
+        self._refused: list[str] = []
         self._bus, self._loop, self._objects = bus, loop, objects
         answer_control(bus, objects)
         self._retired = Retired.of(objects.entries())
@@ -156,8 +158,8 @@ class ReinitWork(Work):
         self._next_tick_ns = self._next_objects_ns = now_ns()
 
     def reload(self, config: Config) -> list[str]:
-        """Take over the section `reinit`, and the objects that were added to or removed from the file.
-        Objects that were added by command stay."""
+        """Take over the section `reinit`, and note which objects were added to or removed from the file: each
+        step changes one of them. Objects that were added by command stay."""
         self._loop.config = _settings(config)
         before, after = self._of_file, {item.name: item.max_instances for item in config.objects}
         if self._names_objects != bool(after):
@@ -169,12 +171,29 @@ class ReinitWork(Work):
             for name, count in after.items()
             if count not in (before.get(name), now.get(name))
         }
-        results = {name: self._objects.decide(order) for name, order in orders.items()}
-        refused = {name: text for name, (done, text) in results.items() if not done}
-        # What was refused is tried again when the file is next read: its model may be there by then.
-        self._of_file = {name: count for name, count in after.items() if name not in refused}
-        self._of_file |= {name: before[name] for name in refused if name in before}
-        return list(refused.values())
+        self._of_file = {name: count for name, count in after.items() if name not in orders}
+        self._of_file |= {name: before[name] for name in orders if name in before}
+        self._orders_of_file, self._refused = orders, []
+        self._bus.health.warn_while("objects", None)
+        return []
+
+    def _follow_file(self) -> None:
+        """Change one object as the file says. Only one: to load many models takes longer than a worker may be
+        silent."""
+        if not self._orders_of_file:
+            return
+        name = next(iter(self._orders_of_file))
+        order = self._orders_of_file.pop(name)
+        done, text = self._objects.decide(order)
+        if not done:
+            # It is tried again when the file is next read: its model may be there by then.
+            self._refused.append(text)
+            self._bus.log.say(text, "warn")
+            self._bus.health.warn_while("objects", "; ".join(self._refused))
+        elif order.action == "add":
+            self._of_file[name] = order.max_instances
+        else:
+            self._of_file.pop(name, None)
 
     def due_ns(self) -> int | None:
         """When to take poses, 30 times a second; answers wake the worker."""
@@ -183,6 +202,7 @@ class ReinitWork(Work):
     def step(self) -> None:
         """Take what arrived; tick the loop when it is due."""
         started = now_ns()
+        self._follow_file()
         self._apply_orders()
         while (camera := self._bus.take(self._cameras, CameraMessage)) is not None:
             self._objects.picture_size = (camera.intrinsics.width, camera.intrinsics.height)

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
+from huepose.reinit import ReinitLoop
 from huepose.reinit.types import ObjectSlot
 from huepose.support.errors import InputError
 from huepose_protos.messages import ObjectEntry
@@ -124,17 +125,47 @@ def test_objects_come_and_go_with_the_file_and_those_added_by_hand_stay():
         items = [{"name": name, "max_instances": count} for name, count in counts.items()]
         return msgspec.convert({"objects": items, "reinit": {"rate_hz": 4}}, Config)
 
-    work = ReinitWork(FakeBus("reinit"), loop, objects, config(mug=1, jar=1).objects)
-    (refused,) = work.reload(config(mug=3, lid=1, ghost=1))
+    bus = FakeBus("reinit")
+    work = ReinitWork(bus, loop, objects, config(mug=1, jar=1).objects)
+    assert work.reload(config(mug=3, lid=1, ghost=1)) == []
+    _settled(work)
+    (refused,) = bus.health.message().warnings
     assert "ghost" in refused
     assert {e.object: e.max_instances for e in objects.entries()} == {"mug": 3, "lid": 1, "by hand": 1}
     assert loop.config.period_ms == 250.0
     missing.clear()
     assert work.reload(config(mug=3, lid=1, ghost=1)) == [], "it is tried again"
+    _settled(work)
+    assert bus.health.message().warnings == []
     assert {e.object for e in objects.entries()} == {"mug", "lid", "ghost", "by hand"}
     assert work.reload(config(mug=3, lid=1)) == []
+    _settled(work)
     assert {e.object for e in objects.entries()} == {"mug", "lid", "by hand"}
     assert "objects" in work.reload(Config())[0]
+
+
+def test_many_objects_are_loaded_in_many_steps():
+    """Else the worker is silent for so long that it is killed as hung."""
+    loaded = []
+
+    def slot(name, count):
+        loaded.append(name)
+        return ObjectSlot(name, count)
+
+    entries = [ObjectEntry(object="mug", max_instances=1, searching=0)]
+    config = msgspec.convert({"objects": [{"name": n} for n in ("mug", "jar", "lid", "cup")]}, Config)
+    work = ReinitWork(FakeBus("reinit"), ReinitLoop(), ObjectList(entries, slot), config.objects[:1])
+    counts = []
+    for call in (lambda: work.reload(config), work.step, work.step, work.step, work.step):
+        call()
+        counts.append(len(loaded))
+    assert counts == [0, 1, 2, 3, 3]
+
+
+def _settled(work):
+    """Let a worker change all objects as its file says."""
+    while work._orders_of_file:
+        work._follow_file()
 
 
 def test_after_a_restart_missing_objects_of_the_file_are_added_when_it_is_read_again():
@@ -144,9 +175,12 @@ def test_after_a_restart_missing_objects_of_the_file_are_added_when_it_is_read_a
     config = msgspec.convert({"objects": [{"name": "mug", "max_instances": 2}, {"name": "lid"}]}, Config)
     work = ReinitWork(FakeBus("reinit"), SimpleNamespace(config=None), objects, config.objects)
     assert work.reload(config) == []
+    _settled(work)
     assert {e.object: e.max_instances for e in objects.entries()} == {"mug": 2, "jar": 1, "lid": 1}
     work = ReinitWork(FakeBus("reinit"), work._loop, ObjectList(entries[1:], ObjectSlot), config.objects)
     assert work.reload(config) == [], "also if it knows none of the file's objects"
+    _settled(work)
+    assert {e.object for e in work._objects.entries()} == {"mug", "jar", "lid"}
 
 
 def test_closing_the_terminal_ends_the_process():

@@ -1,0 +1,28 @@
+"""How `huepose up` stops the workers of several cameras."""
+
+import argparse
+import json
+import threading
+
+from huepose_services.cli import up
+from huepose_services.runtime import prepare, reload, supervisor
+
+
+def test_the_workers_of_all_cameras_are_stopped_at_the_same_time(tmp_path, monkeypatch):
+    together = threading.Barrier(3)
+
+    class Ended(supervisor.Supervisor):
+        def start(self):
+            self.exit_code = 0
+
+        def stop(self):
+            together.wait(5.0)
+
+    monkeypatch.setattr(supervisor, "Supervisor", Ended)
+    monkeypatch.setattr(prepare, "prepare", lambda config: None)
+    monkeypatch.setattr(reload, "asked_again", lambda: lambda: False)
+    monkeypatch.setattr(up, "catch_stop_signals", lambda: lambda: False)
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path / "run"))
+    path = tmp_path / "pipeline.yaml"
+    path.write_text(json.dumps({"cameras": [{"name": name} for name in ("left", "right", "top")]}))
+    assert up.call(argparse.Namespace(config=path, host=None)) == 0

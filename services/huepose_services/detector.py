@@ -10,6 +10,7 @@ from functools import cache, partial
 from huepose.geometry import Box
 from huepose.model import ReferenceModel
 from huepose.perception.view_detector import ViewDetector
+from huepose.perception.window_table import window_table
 from huepose.profiles import profile
 from huepose_protos import WireError
 from huepose_protos.messages import DetectedObject, Detections, FrameHeader, PerceptionRequest
@@ -38,17 +39,26 @@ def make(bus: Bus, config: Config) -> DetectorWork:
     """The detector worker's work."""
     known = models.load(config)
     outlines = {name: models.outline(model) for name, model in known.items()}
-    follower = Follower(bus, lambda name: models.load_one(config, name), outlines)
+    load_one = partial(models.load_one, config)
     if config.detector.kind == "yolo":
+        follower = Follower(bus, load_one, outlines)
         detector, network = networks.yolo(config)
         bus.log.say(f"YOLO of layout {detector.layout} on {network.provider}: {network.path.name}")
         bus.health.count(f"provider_{network.provider}")
         return DetectorWork(bus, SeenBoxes(outlines, detector), follower, config.camera.check)
+    follower = Follower(bus, lambda name: _with_views(load_one(name)), outlines)
     settings = profile(config.profile).detector
     settings = replace(settings, threads=config.detector.threads, remembering=True)
     searcher = ViewDetector(known, settings)
     searcher.warm_up()
     return DetectorWork(bus, SearchedBoxes(outlines, searcher), follower, config.camera.check)
+
+
+def _with_views(model: ReferenceModel) -> ReferenceModel:
+    """The same model, its views in the cache: if many objects are added, to compute them in a search takes
+    longer than a worker may be silent."""
+    window_table(model)
+    return model
 
 
 class DetectorWork(Work):

@@ -13,9 +13,11 @@ from huepose_protos import decode, encode
 from huepose_protos.examples import GOLDEN, example
 from huepose_protos.messages import Detections, FrameHeader, PerceptionRequest, RequestedObject
 from huepose_services import detector as worker
+from huepose_services import models
 from huepose_services.boxes import SearchedBoxes, detected
 from huepose_services.detector import ASK_EVERY_NS, DetectorWork
 from huepose_services.models import outline
+from huepose_services.runtime.config import Config
 from tests.services.fake_bus import FakeBus, sent
 
 
@@ -123,6 +125,16 @@ def test_a_request_about_a_frame_that_was_answered_waits_for_the_next_one():
         work.step()
     assert [(said.frame.frame_id, said.request_seq) for said in bus.said] == [(newer.frame_id, seen.seq)]
     assert work.due_ns() is None
+
+
+def test_the_views_of_an_added_object_are_prepared_while_it_is_loaded(tea_box, monkeypatch):
+    prepared = []
+    monkeypatch.setattr(worker, "window_table", prepared.append)
+    monkeypatch.setattr(models, "load", lambda config: {})
+    monkeypatch.setattr(models, "load_one", lambda config, name: tea_box)
+    work = worker.make(FakeBus("detector"), Config())
+    assert work._objects._load("tea_box") is tea_box
+    assert prepared == [tea_box]
 
 
 def test_more_boxes_than_a_message_can_have_are_left_out_last_of_each_object_first():

@@ -27,6 +27,7 @@ from huepose_services.convert import (
     prior_from_wire,
     requested_from_wire,
 )
+from huepose_services.following import Retired
 from huepose_services.models import Outline, outline
 from huepose_services.networks import never_boxed
 from huepose_services.runtime.clock import SECOND
@@ -168,10 +169,12 @@ class Hints:
 
     def __init__(self) -> None:
         self._boxes: dict[str, tuple[Box, int]] = {}
+        self._retired = Retired()
 
-    def point(self, name: str, box: Box, now_ns: int) -> None:
-        """Take a box that a user gave now."""
+    def point(self, name: str, box: Box, now_ns: int, retired: tuple[int, int] | None = None) -> None:
+        """Take a box that a user gave now. retired: camera epoch and number; instances below ended by it."""
         self._boxes[name] = (box, now_ns + _HINT_NS)
+        self._retired.add(name, retired)
 
     def applied(
         self, found: list[DetectedObject], header: FrameHeader, request: PerceptionRequest, now_ns: int
@@ -181,7 +184,10 @@ class Hints:
             box, until_ns = self._boxes.get(wanted.object, (None, 0))
             if box is None:
                 continue
-            if wanted.instance is not None or now_ns > until_ns:
+            instance = wanted.instance
+            if instance is not None and self._retired.includes(wanted.object, header.camera_epoch, instance):
+                continue  # a request from before the reset
+            if instance is not None or now_ns > until_ns:
                 del self._boxes[wanted.object]
                 continue
             clipped = box.clipped(header.intrinsics.width, header.intrinsics.height)

@@ -99,7 +99,7 @@ class DetectorWork(Work):
             elif change.added is not None:
                 self._finder.add(change.added)
             if entry.box is not None:
-                self._hints.point(entry.object, Box(*entry.box), now_ns())
+                self._hints.point(entry.object, Box(*entry.box), now_ns(), entry.retired)
             self._warn_of_classes()
 
     def _warn_of_classes(self) -> None:

@@ -300,5 +300,7 @@ def test_a_given_box_is_used_until_the_object_has_a_pose():
     assert ask(1, anywhere, other) == {"jar": (0.0, 0.0, 1.0, 1.0), "mug": (1.0, 0.0, 3.0, 2.0)}
     assert ask(2, known, other)["mug"] == (0.0, 0.0, 1.0, 1.0)
     assert ask(3, anywhere)["mug"] == (0.0, 0.0, 1.0, 1.0), "it had a pose: the hint is used up"
-    hints.point("mug", Box(1.0, 0.0, 9.0, 2.0), now_ns=0)
+    hints.point("mug", Box(1.0, 0.0, 9.0, 2.0), now_ns=0, retired=(header.camera_epoch, 1))
+    ask(1, known, other)
+    assert ask(2, anywhere)["mug"] == (1.0, 0.0, 3.0, 2.0), "the instance that had a pose ended by the reset"
     assert ask(int(np.int64(10_000_000_000)), anywhere)["mug"] == (0.0, 0.0, 1.0, 1.0), "too long ago"

@@ -45,6 +45,7 @@ from huepose_services.runtime.work import Work
 # While no new frame comes, SUSPECT poses are published again this often, for subscribers that come late.
 _SAID_AGAIN_NS = SECOND
 _Frame = tuple[int, int]
+_Instance = tuple[str, int]
 
 
 class _Own(msgspec.Struct, array_like=True):
@@ -53,8 +54,8 @@ class _Own(msgspec.Struct, array_like=True):
     newest: _Frame | None = None
     first: _Frame | None = None
     """The first frame of this camera epoch."""
-    published: set[tuple[str, int]] = set()
-    """The instances whose poses in the newest frame were published."""
+    published: set[_Instance] = set()
+    """The instances whose poses in the newest frame were published, without those that were LOST."""
     retired: Retired = msgspec.field(default_factory=Retired)
     holds_until_ns: int = 0
     """Until then the poses that were TRACKING in the newest frame stay valid without a newer frame. Then
@@ -62,7 +63,7 @@ class _Own(msgspec.Struct, array_like=True):
     fx_of_size: dict[str, float] = {}
     complaint: str | None = None
     against: Against = msgspec.field(default_factory=Against)
-    relit: set[tuple[str, int]] = set()
+    relit: set[_Instance] = set()
     """Instances that have not been TRACKING since a frame in which the colour of the light changed."""
     delay: DelayDoubt = msgspec.field(default_factory=DelayDoubt)
 
@@ -155,20 +156,20 @@ class TrackerWork(Work):
 
     def _take(self) -> None:
         self._follow()
-        corrected = False
+        corrected: set[_Instance] = set()
         while (message := self._bus.take(self._corrections, CorrectionMessage)) is not None:
             self._intake.corrections.append(message)
-            self._correct(message)
-            corrected = True
+            if self._correct(message):
+                corrected.add((message.object, message.instance))
         if not self._intake.empty:
             self._intake.mark("corrections", self._tracker)
         taken = self._bus.take_with_payload(self._frames, FrameHeader)
         self._first_frame.look(taken is not None)
         tracked = taken is not None and self._track(*taken)
         if corrected and not tracked and self._header is not None:
-            # New instances are published on the last frame, because the next may come late. A pose that was
-            # already published on that frame is not published again.
-            new = [p for p in self._tracker.poses() if p.key not in self._own.published]
+            # Instances that are new, or were LOST, are published on the last frame, because the next may come
+            # late. A pose that was already published on that frame is not published again.
+            new = [p for p in self._tracker.poses() if p.key in corrected - self._own.published]
             self._publish_all(new, self._header, self._pixels)
         if self._intake.empty and self._believed and (now := self._clock()) >= self._own.holds_until_ns:
             self._intake.clock_ns.append(now)
@@ -254,28 +255,31 @@ class TrackerWork(Work):
                 self._tracker.remove_instances(name)
         self._told.flush()
 
-    def _correct(self, message: CorrectionMessage) -> None:
+    def _correct(self, message: CorrectionMessage) -> bool:
+        """Apply a correction. Returns whether it was applied, or will be."""
         if self._own.retired.includes(message.object, message.camera_epoch, message.instance):
             self._bus.health.count("corrections_of_retired")
-            return
+            return False
         if message.object not in self._tracker.objects:
             # One that was just added may be found before its model is loaded here, which takes seconds.
             self._bus.health.count("corrections_of_unknown")
-            return
+            return False
         try:
             check_number(message, self._intake.now())
             applied = self._tracker.correct(from_wire(Correction, message))
         except (WireError, InputError) as error:
             wrong = error if isinstance(error, WireError) else WireError(str(error))
             self._bus.refuse(self._bus.keys.correction, wrong)
-            return
+            return False
         if applied is not Applied.REFUSED_EPOCH:
             self._own.against.hear(message)
         self._bus.health.count(f"corrections_{applied.value}")
         if applied in (Applied.APPLIED, Applied.CATCHING_UP):
             self._bus.health.warn_while("late", None)
-        elif applied is not Applied.REPEATED:
+            return True
+        if applied is not Applied.REPEATED:
             self._refuse(message, applied)
+        return False
 
     def _refuse(self, message: CorrectionMessage, applied: Applied) -> None:
         """Log why a correction was not applied; health warns where perception is too slow."""
@@ -354,7 +358,8 @@ class TrackerWork(Work):
                 doubt = self._tracker.doubt(*pose.key)
                 reason = why_doubted(surface, frame, pose.T_cam_obj, doubt, pose.key in self._own.relit)
             self._publish(pose, header, reason)
-            self._own.published.add(pose.key)
+            if pose.T_cam_obj is not None:
+                self._own.published.add(pose.key)
 
     def _publish(self, pose: TrackedPose, header: FrameHeader, reason: str) -> None:
         now = self._intake.now()

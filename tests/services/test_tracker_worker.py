@@ -21,7 +21,16 @@ from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.tied import SUPERVISOR
 from huepose_services.tracker import make, tracker_of
-from tests.services.tracker_work import CENTRE, CORRECTION, MS, BusStandIn, frame_of_age, worker
+from tests.services.tracker_work import (
+    AHEAD,
+    CENTRE,
+    CORRECTION,
+    MS,
+    BusStandIn,
+    Loser,
+    frame_of_age,
+    worker,
+)
 
 HAND = {"parent": "tool0", "translation": [0.0, 0.1, 0.0], "quaternion": [0.0, 0.0, 0.0, 1.0]}
 
@@ -120,6 +129,28 @@ def test_a_correction_of_a_retired_instance_is_not_applied():
     work.step()
     assert work._tracker.corrections == [4]
     assert bus.health.counters["corrections_of_retired"] == 1
+
+
+@pytest.mark.parametrize("before", [0, 1, 2])
+def test_an_instance_that_is_found_in_the_newest_frame_is_published_before_the_next(before):
+    """Also if it was LOST in that frame: perception would be asked about the frame again and again."""
+    work, bus, _ = worker()
+    tracked = work._tracker.step
+    lost = Loser(AHEAD)
+    work._tracker.step = (lambda frame: []) if before == 0 else lost.step if before == 1 else tracked
+    header, payload = frame_of_age(1, 0.0)
+    bus.arriving[FrameHeader] = [(header, payload)]
+    work.step()
+    assert [p.state for p in bus.said] == [[], ["LOST"], ["TRACKING"]][before]
+    bus.said.clear()
+    found = tracked(work._pixels)
+    work._tracker.poses = lambda: found
+    message = msgspec.structs.replace(CORRECTION, object="mug", instance=0)
+    for applied in (Applied.APPLIED, Applied.REPEATED, Applied.APPLIED):
+        work._tracker.answer = applied
+        bus.arriving[CorrectionMessage] = [message]
+        work.step()
+    assert [p.state for p in bus.said] == ([] if before == 2 else ["TRACKING"])
 
 
 def test_a_correction_of_an_object_that_is_still_being_loaded_is_no_error(capfd):

@@ -20,7 +20,7 @@ from huepose.onboarding.ply import read_ply
 from huepose.onboarding.raw_mesh import RE_EXPORT, RawMesh
 from huepose.onboarding.seams import UPSIDE_DOWN, upside_down
 from huepose.onboarding.texture import single_texture
-from huepose.onboarding.winding import outward_sign
+from huepose.onboarding.winding import facing_inwards
 from huepose.support.errors import InputError
 from huepose.support.lengths import LIKELY, METRES, NAMES, Unit, length, number
 
@@ -151,8 +151,8 @@ def _converted(raw: RawMesh, unit: Unit | None, path: Path) -> Mesh:
     metric = (vertices * scale).astype(np.float32)
     _check_rounding(metric, path)
     uv, texture = single_texture(raw, path)
-    if outward_sign(metric, faces) < 0:
-        faces, uv = faces[:, ::-1], uv[:, ::-1]
+    inwards = facing_inwards(metric, faces)
+    faces[inwards], uv[inwards] = faces[inwards, ::-1], uv[inwards, ::-1]
     return Mesh(metric, np.ascontiguousarray(faces), np.ascontiguousarray(uv), texture)
 
 

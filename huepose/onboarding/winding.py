@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from huepose.geometry.arrays import Float, Int, Int64
+from huepose.geometry import se3
+from huepose.geometry.arrays import Bool, Float, Float64, Int, Int64
+
+_FLAT = 1e-6
+"""A part with less volume than this, over the power 3/2 of its area, is a sheet: it has no outside."""
+
+_TILT = se3.rotation_exp(np.array([0.3, 0.5, 0.7]))
+"""Rotation in which rays along z do not meet the edges of meshes that are aligned with their axes."""
 
 
 def welded(vertices: Float) -> tuple[Int64, Int64]:
@@ -30,3 +37,60 @@ def outward_sign(vertices: Float, faces: Int) -> int:
     corner = (v - v.mean(0))[np.asarray(faces)]
     volume = np.einsum("fi,fi->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2]))
     return 1 if volume > 0 else -1
+
+
+def facing_inwards(vertices: Float, faces: Int) -> Bool:
+    """Which faces (F,) of a closed mesh have their right-hand normals inwards (a mirrored export).
+
+    Each connected part is judged by itself: in an assembly, single parts may be mirrored. A part that lies
+    inside of others, such as the wall of a cavity, goes with them. None for a mesh that is not closed.
+    """
+    if outward_sign(vertices, faces) == 0:
+        return np.zeros(len(faces), bool)
+    v = np.asarray(vertices, np.float64)
+    corners = (v - v.mean(0))[np.asarray(faces)] @ _TILT.T
+    part, count = _parts(vertices, faces)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    volumes = np.bincount(part, np.einsum("fi,fi->f", corners[:, 0], normals) / 6.0, count)
+    areas = np.bincount(part, np.linalg.norm(normals, axis=1) / 2.0, count)
+    inwards = volumes < -_FLAT * areas**1.5
+    if inwards.any():
+        low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+        np.minimum.at(low, part, corners.min(1))
+        np.maximum.at(high, part, corners.max(1))
+        for k in range(count):
+            around = (low <= low[k]).all(1) & (high >= high[k]).all(1)
+            around[k] = False
+            winding = _winding(corners[part == k], corners[around[part]]) if around.any() else 0
+            if winding != 0:
+                inwards[k] = winding < 0
+    return np.asarray(inwards[part])
+
+
+def _parts(vertices: Float, faces: Int) -> tuple[Int64, int]:
+    """The connected part (F,) of each face, and their number. Vertices at the same position count as one."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    stay, numbers = welded(vertices)
+    f = numbers[faces]
+    links = (np.ones(2 * len(f), bool), (np.repeat(f[:, 0], 2), f[:, 1:].reshape(-1)))
+    count, of_vertex = connected_components(coo_matrix(links, shape=(len(stay),) * 2), directed=False)
+    return of_vertex[f[:, 0]].astype(np.int64), int(count)
+
+
+def _winding(own: Float64, others: Float64) -> int:
+    """How often the faces `others` (F, 3, 3) wind around a part with the faces `own` (N, 3, 3); 0 if one of
+    its outermost points is outside of them. Of the faces above a point, those that look down count as
+    negative."""
+    points = own.reshape(-1, 3)
+    low, high = others.min(1), others.max(1)
+    counts = []
+    for p in points[np.unique([points.argmin(0), points.argmax(0)])]:
+        above = (low[:, :2] <= p[:2]).all(1) & (high >= p).all(1)
+        a, b, c = (others[above] - p).transpose(1, 0, 2)
+        shares = np.stack([q[:, 0] * r[:, 1] - q[:, 1] * r[:, 0] for q, r in ((b, c), (c, a), (a, b))])
+        side = np.where((shares > 0).all(0), 1, np.where((shares < 0).all(0), -1, 0))
+        height = (shares * np.stack([a[:, 2], b[:, 2], c[:, 2]])).sum(0) * side
+        counts.append(int(side[height > 0].sum()))
+    return min(counts, key=abs)

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from huepose.geometry import Mesh, se3
+from huepose.geometry import Camera, Mesh, se3
 from huepose.onboarding.meshes import read_mesh
+from huepose.rendering import render_depth
 from huepose.support.errors import InputError
 from tests.onboarding import mesh_files as files
 from tests.onboarding.mesh_checks import assert_same, assert_well_formed, colors_at
@@ -190,6 +191,20 @@ def test_a_mirrored_export_is_turned_outwards(tmp_path: Path) -> None:
         centres = read.vertices[read.faces].astype(np.float64).mean(1)
         assert np.einsum("fd,fd,f->", normals, centres, areas) > 0
         np.testing.assert_allclose(read.face_normals()[1].sum(), areas.sum())
+
+
+def test_a_mirrored_part_is_rendered_from_outside(tmp_path: Path) -> None:
+    """As when an assembly is exported in which one part is a mirror image."""
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+    vertices = np.concatenate([0.06 * corners, 0.03 * corners + [0.0, 0.0, 0.05]])
+    camera = Camera(500.0, 500.0, 79.5, 79.5, 160, 160)
+    from_above = se3.make(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.4]))
+    for flip in (1, -1):
+        faces = np.concatenate([quads, quads[:, ::flip] + 8]).tolist()
+        files.write_colored_ply(tmp_path / "m.ply", vertices, np.full((16, 3), 90), faces)
+        read = read_mesh(tmp_path / "m.ply", "m")
+        assert render_depth(read, from_above, camera)[80, 80] == pytest.approx(0.4 - 0.065, abs=1e-5)
 
 
 def test_nodes_place_scale_and_mirror_gltf_meshes(tmp_path: Path, printed_box: Mesh) -> None:

@@ -18,6 +18,7 @@ from huepose.datasets.bop_writer import write_obj
 from huepose.model import ReferenceModel, save_model
 from huepose.scenes.builtin import first_shot
 from huepose_services.cli.main import main
+from huepose_services.cli.new import _PIPELINE
 from huepose_services.runtime.config import load
 from tests.services.conftest import Says, heeds_ctrl_c
 
@@ -41,6 +42,12 @@ def test_a_mesh_becomes_a_folder_whose_frame_gives_its_pose(
     assert truth.visib_fract[0] > 0.95
     assert np.abs(truth.T_cam_obj[0] - np.array(pose["T_cam_obj"])).max() < 0.005
     assert load(out / "pipeline.yaml").objects[0].name == "box"
+
+
+@pytest.mark.parametrize("name", ["4711", "0123", "null", "on", "2026-11-30", "-"])
+def test_a_name_that_yaml_reads_as_something_else_stays_a_name(name: str, tmp_path: Path) -> None:
+    (tmp_path / "pipeline.yaml").write_text(_PIPELINE.format(name=name))
+    assert load(tmp_path / "pipeline.yaml").objects[0].name == name
 
 
 def test_an_existing_folder_is_not_changed(tmp_path: Path, refused: Says) -> None:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _PIPELINE = """\
 # What each key means: pipeline.yaml of the repository.
 bundles: bundles
-objects: [{{name: {name}}}]
+objects: [{{name: "{name}"}}]
 camera:
   source: synthetic   # your object in a rendered scene; your camera: realsense or oak
   truth: true         # publish ground truth; remove this line for a real camera

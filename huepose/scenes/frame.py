@@ -13,6 +13,7 @@ import numpy as np
 
 from huepose.geometry import Box, Camera, Mesh, se3
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, UInt8
+from huepose.geometry.camera import NEAR_M
 from huepose.rendering import render, render_depth
 from huepose.scenes.camera import ColorSensor, StereoSensor
 from huepose.scenes.light import Light, shadow_map, shine
@@ -93,10 +94,11 @@ def visible_mask(stage: Stage, i: int, k: int) -> Bool:
 
 def silhouette(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> tuple[int, Box]:
     """Pixel count and bounds of an object's outline as if nothing occluded it, parts outside the image
-    included."""
-    pixels = camera.project(se3.apply(T_cam_obj, mesh.vertices))
-    if not np.isfinite(pixels).all():
+    included; 0 and a box of -1 if a part is too near to be rendered: the outline would be endless."""
+    points_cam = se3.apply(T_cam_obj, mesh.vertices)
+    if not points_cam[:, 2].min() > NEAR_M:
         return 0, Box(-1, -1, -1, -1)
+    pixels = camera.project(points_cam)
     low = np.floor(pixels.min(0)).astype(int) - 1
     high = np.ceil(pixels.max(0)).astype(int) + 2
     x, y = int(low[0]), int(low[1])

@@ -173,5 +173,13 @@ def test_the_silhouette_counts_pixels_outside_the_image() -> None:
     assert silhouette(mesh, inside, CAMERA)[0] == np.count_nonzero(render_depth(mesh, inside, CAMERA))
 
 
+def test_an_object_that_reaches_to_the_camera_has_no_silhouette() -> None:
+    """An image of all of its outline would need more memory than there is."""
+    mesh = OBJECTS["soup_can"]
+    for nearest_m in (1e-6, -0.01):
+        T = se3.make(np.eye(3), np.array([0.2, 0.2, nearest_m - float(mesh.vertices[:, 2].min())]))
+        assert silhouette(mesh, T, CAMERA) == (0, (-1, -1, -1, -1))
+
+
 def test_rms_of_the_stereo_sensor_at_a_metre() -> None:
     assert STEREO.rms_m(1.0, CAMERA) == pytest.approx(0.0026, abs=0.0001)

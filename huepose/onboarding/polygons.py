@@ -25,7 +25,7 @@ def left(vertices: Float, faces: Int, polygon: Int) -> list[slice]:
 
     vertices (V, 3); faces (F, 3) of all fans; polygon (F,): the polygon of each triangle, from 0,
     ascending."""
-    if len(polygon) == polygon[-1] + 1:  # all polygons are triangles
+    if (np.diff(polygon) > 0).all():  # all polygons are triangles
         return []
     a, b, c = (np.asarray(vertices, np.float64)[faces[:, k]] for k in range(3))
     areas = np.cross(b - a, c - a)

@@ -70,6 +70,15 @@ def test_a_bracket_keeps_its_recess(form: str, tmp_path: Path) -> None:
     assert (a * areas).sum() / 3.0 == pytest.approx(0.0063 * 0.035, rel=1e-5), "the volume"
 
 
+def test_lines_among_the_polygons_do_not_fill_a_recess(tmp_path: Path) -> None:
+    """Some programs write edges as polygons of two corners."""
+    for lines in range(6):
+        faces = [[0, 1]] * lines + [[1, 2, 3, 4, 5, 0]]
+        files.write_colored_ply(tmp_path / "m.ply", np.c_[L, np.zeros(6)], np.full((6, 3), 90), faces)
+        areas = read_mesh(tmp_path / "m.ply", "mm").face_normals()[1]
+        assert areas.sum() == pytest.approx(0.0063, rel=1e-5)
+
+
 def test_corners_keep_their_texture_coordinates(tmp_path: Path) -> None:
     picture = np.zeros((90, 120, 3), np.uint8)
     picture[:, :, 0] = np.arange(120)

@@ -311,8 +311,12 @@ def _vertex_colors(vertex: Table) -> UInt8 | None:
     if names is None:
         return None
     colors = np.stack([vertex[n] for n in names], 1).astype(np.float64)
-    is_fraction = vertex[names[0]].dtype.kind == "f" and colors.max() <= LARGEST_FRACTION
-    return np.clip(np.round(colors * (255.0 if is_fraction else 1.0)), 0, 255).astype(np.uint8)
+    kind, scale = vertex[names[0]].dtype, 1.0
+    if kind.kind == "f" and colors.max() <= LARGEST_FRACTION:
+        scale = 255.0
+    elif kind == np.uint16 and colors.max() > 255.0:
+        scale = 1.0 / 257.0
+    return np.clip(np.round(colors * scale), 0, 255).astype(np.uint8)
 
 
 def _textures_beside(path: Path) -> list[str]:

@@ -57,6 +57,19 @@ def test_colors_of_vertices_may_be_a_little_over_one(tmp_path: Path, form: str) 
     np.testing.assert_allclose(colors, np.tile([255, 128, 0], (2, 1)), atol=1)
 
 
+@pytest.mark.parametrize("white", [255, 65535])
+def test_colors_of_vertices_may_have_16_bits(tmp_path: Path, white: int) -> None:
+    corners = np.array([[0.0, 0.0, 0.0], [30.0, 0.0, 0.0], [0.0, 30.0, 0.0], [0.0, 0.0, 30.0]])
+    color = [white, round(0.4 * white), 0]
+    files.write_colored_ply(tmp_path / "m.ply", corners, np.tile(color, (4, 1)), [[0, 1, 2], [0, 1, 3]])
+    text = (tmp_path / "m.ply").read_text()
+    for name in ("red", "green", "blue"):
+        text = text.replace(f"uchar {name}", f"ushort {name}")
+    (tmp_path / "m.ply").write_text(text)
+    colors = colors_at(read_mesh(tmp_path / "m.ply"))
+    np.testing.assert_allclose(colors, np.tile([255, 102, 0], (2, 1)), atol=1)
+
+
 def test_several_materials_become_one_texture(tmp_path: Path) -> None:
     text = "mtllib m.mtl\nv 0 0 0\nv 60 0 0\nv 0 60 0\nv 0 0 60\nvt 0 0\nvt 1 0\nvt 0 1\n"
     text += "usemtl red\nf 1/1 2/2 3/3\nusemtl plain\nf 1 2 4\nusemtl blue\nf 1/1 3/2 4/3\n"

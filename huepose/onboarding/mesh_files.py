@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import stat
+import unicodedata
 import warnings
 from io import BytesIO
 from pathlib import Path
@@ -52,9 +53,9 @@ class MeshFiles:
     def read(self, name: str, role: str, named_in: Path) -> tuple[Path, bytes]:
         """Path and content of a file that `named_in` names. Raises InputError that says which file names it.
 
-        name: as written there, relative to the folder of `named_in`. Another case of letters is accepted.
-        If the name leads out of the mesh's folder (to a folder of the machine that exported the mesh), only
-        its last part counts.
+        name: as written there, relative to the folder of `named_in`. Another case of letters is accepted,
+        and accents may be decomposed, as macOS does. If the name leads out of the mesh's folder (to a folder
+        of the machine that exported the mesh), only its last part counts.
         """
         path = self._find(name, role, named_in)
         return path, self._read(path, role, named_in)
@@ -106,8 +107,8 @@ class MeshFiles:
         inside = Path(os.path.abspath(path)).is_relative_to(os.path.abspath(self.mesh.parent))
         if not (inside and os.path.exists(path)):
             folders = [path.parent, named_in.parent] if inside else [named_in.parent]
-            last = written.rsplit("/", 1)[-1].lower()
-            alike = [p for folder in folders for p in _listing(folder) if p.name.lower() == last]
+            last = _plain(written.rsplit("/", 1)[-1])
+            alike = [p for folder in folders for p in _listing(folder) if _plain(p.name) == last]
             if not alike and inside:
                 raise InputError(
                     path,
@@ -209,6 +210,10 @@ def _no_picture(data: bytes, what: str) -> InputError:
         expected="a PNG or JPEG texture",
         fix="Open the texture in an image editor and save it again as PNG.",
     )
+
+
+def _plain(name: str) -> str:
+    return unicodedata.normalize("NFC", name).lower()
 
 
 def _listing(folder: Path) -> list[Path]:

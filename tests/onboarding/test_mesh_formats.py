@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import base64
 import struct
+import unicodedata
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -157,6 +159,17 @@ def test_names_may_be_non_ascii(tmp_path: Path, printed_box: Mesh, encoding: str
         file.write_bytes(file.read_bytes().replace(b"m.png", "Körper.png".encode(encoding)))
     for name in ("m.obj", "m.ply"):
         assert_same(read_mesh(tmp_path / name), printed_box)
+
+
+@pytest.mark.parametrize(("on_disk", "in_file"), [("NFC", "NFD"), ("NFD", "NFC")])
+def test_accents_of_file_names_may_be_decomposed(
+    tmp_path: Path, printed_box: Mesh, on_disk: Any, in_file: Any
+) -> None:
+    """macOS decomposes the names of files, other systems do not."""
+    files.write_obj(tmp_path / "m.obj", printed_box)
+    (tmp_path / "m.png").rename(tmp_path / unicodedata.normalize(on_disk, "Körper.png"))
+    (tmp_path / "m.mtl").write_text(f"newmtl print\nmap_Kd {unicodedata.normalize(in_file, 'Körper.png')}\n")
+    assert_same(read_mesh(tmp_path / "m.obj"), printed_box)
 
 
 def test_names_of_textures_may_differ_in_case_and_folder(tmp_path: Path, printed_box: Mesh) -> None:

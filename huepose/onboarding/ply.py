@@ -7,6 +7,7 @@ An ascii body is read as a binary one in which every number is a double.
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -38,6 +39,7 @@ _TYPES = {
     **dict.fromkeys(("double", "float64"), "f8"),
 }
 _ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+_END = re.compile(rb"[\r\n]end_header[ \t]*(?:\r\n|\r|\n|\Z)")
 _U_NAMES, _V_NAMES = ("texture_u", "u", "s"), ("texture_v", "v", "t")
 
 
@@ -144,12 +146,11 @@ def _is_lists(column: Any) -> bool:
 
 
 def _header(path: Path, data: bytes) -> _Header:
-    end = data.find(b"end_header")
-    if not data.startswith(b"ply") or end < 0:
+    end = _END.search(data)
+    if not data.startswith(b"ply") or end is None:
         raise InputError(path, found="no PLY header", expected="a PLY file", fix=RE_EXPORT)
-    newline = data.find(b"\n", end)
     form, elements, textures = "", list[_Element](), list[str]()
-    for line in decoded(data[:end]).splitlines():
+    for line in decoded(data[: end.start()]).splitlines():
         words = line.split()
         try:
             match words:
@@ -172,7 +173,7 @@ def _header(path: Path, data: bytes) -> _Header:
     if form not in _ORDERS:
         found = f"format {form[:20] or 'unknown'}"
         raise InputError(path, found=found, expected="ascii or binary", fix=RE_EXPORT)
-    return _Header(form, elements, textures, newline + 1 if newline >= 0 else len(data))
+    return _Header(form, elements, textures, end.end())
 
 
 def _count(word: str) -> int:

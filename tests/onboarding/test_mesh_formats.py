@@ -135,6 +135,20 @@ def test_polygons_of_a_ply_become_fans(tmp_path: Path) -> None:
     assert read_mesh(tmp_path / "m.ply").faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 4]]
 
 
+@pytest.mark.parametrize("binary", [False, True])
+@pytest.mark.parametrize("newline", [b"\n", b"\r\n", b"\r"])
+def test_lines_of_a_ply_may_end_as_on_any_system(
+    tmp_path: Path, printed_box: Mesh, binary: bool, newline: bytes
+) -> None:
+    path = tmp_path / "m.ply"
+    files.write_ply(path, printed_box, binary=binary, lists=True)
+    header, end, body = path.read_bytes().partition(b"\nend_header\n")
+    header = header.replace(b"\n", b"\ncomment before end_header\n", 1)
+    body = body if binary else body.replace(b"\n", newline)
+    path.write_bytes((header + end).replace(b"\n", newline) + body)
+    assert_same(read_mesh(path), printed_box)
+
+
 def test_a_binary_ply_may_mix_polygons(tmp_path: Path) -> None:
     header = "ply\nformat binary_little_endian 1.0\nelement vertex 5\n"
     header += "".join(f"property float {p}\n" for p in "xyz")

@@ -101,8 +101,9 @@ def _verdict_path(bundles: Path, name: str) -> Path:
 
 
 def sheet_path(bundles: Path, name: str) -> Path:
-    """The file of the self-test's picture for the object of that name."""
-    return bundles / f"{name}.png"
+    """The file of the self-test's picture for the object of that name. It is not NAME.png, which the texture
+    of the mesh often is, and the mesh may be in the same folder."""
+    return bundles / f"{name}.verdict.png"
 
 
 def keep_verdict(bundles: Path, model: ReferenceModel, verdict: str, words: str) -> None:

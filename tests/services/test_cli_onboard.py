@@ -75,7 +75,7 @@ def test_onboarding_a_folder_names_replaced_models_and_deletes_their_verdicts(
     out = tmp_path / "bundles"
     one = [str(tmp_path / "obj_000001.obj"), "--name", "obj_000001", "--id", "1", "--unit", "mm"]
     assert main(["onboard", "--no-test", *one, "--symmetric", "z", "--out", str(out)]) == 0
-    verdict_files = [out / "obj_000001.verdict.json", out / "obj_000001.png"]
+    verdict_files = [out / "obj_000001.verdict.json", out / "obj_000001.verdict.png"]
     for path in verdict_files:
         path.write_text("of the model before")
     capsys.readouterr()
@@ -102,15 +102,18 @@ def test_validate_repeats_the_verdict_on_an_object_until_another_model_of_its_na
     files.write_glb(plain, solids.box((0.05, 0.04, 0.03), dict.fromkeys(solids.SIDES, red)))
     pipeline.write_text(json.dumps({"bundles": "bundles", "objects": [{"name": "brick"}]}))
     given = ["--name", "brick", "--out", str(out)]
+    out.mkdir()
+    (out / "brick.png").write_text("the texture of a mesh in this folder")
     lines = printed(["onboard", plain, *given]).splitlines()
     verdict = next(line for line in lines if "rendered scenes" in line)
     assert verdict.startswith(("brick suits with limits: ", "brick does not suit: "))
     assert f"\n  NOTE     {verdict}\n" in printed(["validate", pipeline])
     assert main(["onboard", "--no-test", str(plain), *given]) == 0
-    assert (out / "brick.png").exists(), "the same model"
+    assert (out / "brick.verdict.png").exists(), "the same model"
     assert "replaced" not in capsys.readouterr().err
     assert main(["onboard", "--no-test", str(mesh), *given]) == 0  # another model: nothing is known of it
-    assert sorted(path.name for path in out.iterdir()) == ["brick.huepose"]
+    assert sorted(path.name for path in out.iterdir()) == ["brick.huepose", "brick.png"]
+    assert (out / "brick.png").read_text() == "the texture of a mesh in this folder"
     said = capsys.readouterr().err
     assert f"note: {out / 'brick.huepose'} replaced another reference model named brick, made on " in said
     assert said.count("replaced") == 1

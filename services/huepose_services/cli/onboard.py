@@ -125,7 +125,7 @@ def call(arguments: argparse.Namespace) -> int:
 
 def self_test(bundles: Path, name: str, part: float | None = None) -> tuple[dict[str, Any] | None, str]:
     """Test in rendered scenes how well an object suits. Returns the result for programs and in words; draws
-    it to BUNDLES/NAME.png, and keeps the verdict beside the model.
+    it to BUNDLES/NAME.verdict.png, and keeps the verdict beside the model.
 
     part: share of the surface that a recording showed, None for a model of all of it."""
     from huepose.evaluation import suitability

@@ -50,10 +50,14 @@ def test_a_name_that_yaml_reads_as_something_else_stays_a_name(name: str, tmp_pa
     assert load(tmp_path / "pipeline.yaml").objects[0].name == name
 
 
-def test_an_existing_folder_is_not_changed(tmp_path: Path, refused: Says) -> None:
-    (tmp_path / "pipeline.yaml").write_text("site: mine\n")
-    assert "exists already" in refused(["new", "box", "box.obj", "--out", tmp_path])
-    assert (tmp_path / "pipeline.yaml").read_text() == "site: mine\n"
+@pytest.mark.parametrize("name", ["pipeline.yaml", "color.png", "depth.png", "camera.json"])
+def test_an_existing_file_is_not_changed(name: str, tmp_path: Path, refused: Says) -> None:
+    """In the folder of the mesh, color.png may be its texture."""
+    (tmp_path / name).write_text("site: mine\n")
+    assert f"{name}: found a file that exists already" in refused(
+        ["new", "box", "box.obj", "--out", tmp_path]
+    )
+    assert (tmp_path / name).read_text() == "site: mine\n"
 
 
 def test_a_file_of_the_name_of_the_folder_is_refused_before_onboarding(

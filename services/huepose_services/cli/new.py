@@ -27,6 +27,9 @@ camera:
 """
 
 
+_FRAME = ("color.png", "depth.png", "camera.json")
+
+
 def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "new",
@@ -60,13 +63,14 @@ def call(arguments: argparse.Namespace) -> int:
     check_place(out)
     check_folder(out)
     path = out / "pipeline.yaml"
-    if path.exists():
-        raise InputError(
-            path,
-            found="a file that exists already",
-            expected="a new folder",
-            fix="Choose another folder with --out DIR, or delete this file.",
-        )
+    for there in (path, *(out / name for name in _FRAME)):
+        if there.exists():
+            raise InputError(
+                there,
+                found="a file that exists already",
+                expected="a new folder",
+                fix="Choose another folder with --out DIR, or delete this file.",
+            )
     check_name(arguments.name)
     symmetric = symmetries_of(arguments.symmetric)
     job = with_unit(Job(arguments.mesh, arguments.name, unit=arguments.unit, symmetric=symmetric))
@@ -110,8 +114,9 @@ def write_frame(folder: Path, shot: Shot, camera: Camera) -> None:
 
     from huepose.geometry.camera import whole_steps
 
-    write_picture(folder / "color.png", shot.color)
+    color, depth_file, intrinsics_file = (folder / name for name in _FRAME)
+    write_picture(color, shot.color)
     depth = whole_steps(shot.depth / 1e-4)
-    write_bytes(folder / "depth.png", cv2.imencode(".png", depth)[1].tobytes())
+    write_bytes(depth_file, cv2.imencode(".png", depth)[1].tobytes())
     intrinsics = {key: getattr(camera, key) for key in ("fx", "fy", "cx", "cy", "width", "height")}
-    write_text(folder / "camera.json", json.dumps({**intrinsics, "depth_scale_m": 0.0001}) + "\n")
+    write_text(intrinsics_file, json.dumps({**intrinsics, "depth_scale_m": 0.0001}) + "\n")

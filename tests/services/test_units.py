@@ -14,6 +14,7 @@ from huepose_services.cli.main import main
 from huepose_services.cli.units import units
 from huepose_services.runtime.config import CHAIN, Config, ObjectConfig, load, load_all
 from huepose_services.runtime.config_perception import CameraConfig, DetectorConfig
+from tests.disk import full_disk
 
 ROOT = Path(__file__).parents[2]
 INSTALL = ROOT / "deploy" / "jetson" / "install.sh"
@@ -200,6 +201,17 @@ def test_paths_that_the_services_cannot_see_are_reported(tmp_path, capsys, monke
     there.write_text("bundles: ../var/bundles\nobjects: [{name: mug}]\n")
     assert main(["units", str(there), "--out", str(tmp_path / "units")]) == 0
     assert capsys.readouterr().err == ""
+
+
+def test_units_in_use_outlive_a_full_disk(tmp_path, capsys):
+    given = ["units", str(ROOT / "pipeline.yaml"), "--out", str(tmp_path)]
+    assert main(given) == 0
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    capsys.readouterr()
+    with full_disk():
+        assert main([*given, "--user", "other"]) == 2
+    assert "File too large" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
 def test_an_invalid_user_name_is_refused(tmp_path, capsys):

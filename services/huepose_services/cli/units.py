@@ -15,7 +15,7 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
-from huepose.support.files import writing
+from huepose.support.files import write_text, writing
 from huepose_services.cli.options import add_host, add_path, add_pipeline, say
 from huepose_services.runtime.threads import THREAD_VARIABLES
 
@@ -153,8 +153,7 @@ def call(arguments: argparse.Namespace) -> int:
                 old.unlink()
         for name, text in files.items():
             path = arguments.out / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text)
+            write_text(path, text)
             print(path)
     used = {"the configuration": arguments.config.absolute(), "the program": command}
     used |= {"its Python": Path(sys.base_prefix)}

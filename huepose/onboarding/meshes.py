@@ -26,6 +26,7 @@ from huepose.support.lengths import LIKELY, METRES, NAMES, Unit, length, number
 
 SMALLEST_M, LARGEST_M = 0.01, 2.0
 """Limits of the largest side of an object, metres; they decide the unit of a mesh."""
+_LEAST_AREA = 1e-6  # of the surface, over the square of the largest side; a wire has more
 _MAX_ROUNDING = 1e-3  # of the largest side: a tenth of a millimetre of 10 cm
 # Errors that a damaged file may cause in its reader, besides InputError.
 _DAMAGE = (ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError, cv2.error)
@@ -153,7 +154,11 @@ def _converted(raw: RawMesh, unit: Unit | None, path: Path) -> Mesh:
     uv, texture = single_texture(raw, path)
     inwards = facing_inwards(metric, faces)
     faces[inwards], uv[inwards] = faces[inwards, ::-1], uv[inwards, ::-1]
-    return Mesh(metric, np.ascontiguousarray(faces), np.ascontiguousarray(uv), texture)
+    mesh = Mesh(metric, np.ascontiguousarray(faces), np.ascontiguousarray(uv), texture)
+    if not mesh.face_normals()[1].sum() > _LEAST_AREA * _extent(metric.astype(np.float64)) ** 2:
+        found = "triangles without area: the corners of each are in one place or line"
+        raise InputError(path, found=found, expected="an object", fix=RE_EXPORT)
+    return mesh
 
 
 def _check_rounding(metric: Float32, path: Path) -> None:

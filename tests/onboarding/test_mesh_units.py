@@ -89,6 +89,16 @@ def test_a_mesh_whose_points_coincide_has_no_size(tmp_path: Path, unit: Unit | N
     assert "unit" not in str(caught.value)
 
 
+def test_a_mesh_whose_triangles_have_no_area_is_refused(tmp_path: Path) -> None:
+    corners = np.array(
+        [[0.0, 0.0, 0.0], [100.0, 0.0, 0.0], [0.0, 70.0, 0.0], [0.0, 0.0, 50.0], [50.0, 35.0, 0.0]]
+    )
+    faces = [[0, 1, 1], [2, 2, 2], [0, 3, 0], [1, 4, 2]]
+    files.write_colored_ply(tmp_path / "m.ply", corners, np.full((5, 3), 90), faces)
+    with pytest.raises(InputError, match=r"m\.ply: found triangles without area"):
+        read_mesh(tmp_path / "m.ply")
+
+
 def test_feet_can_be_given(tmp_path: Path) -> None:
     files.write_obj(tmp_path / "m.obj", solids.box((0.4, 0.3, 0.2)), scale=1.0)
     assert look_at(tmp_path / "m.obj").sizes == pytest.approx({"m": 0.4, "ft": 0.12192, "in": 0.01016})

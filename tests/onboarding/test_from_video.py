@@ -16,6 +16,7 @@ from huepose.geometry import Box, Camera, Mesh, RgbdFrame, se3
 from huepose.geometry.arrays import Float64, UInt8
 from huepose.geometry.camera import depth_noise_m
 from huepose.onboarding.from_video import Learned, Selection, learn
+from huepose.onboarding.from_video.fusion import Fused, painted
 from huepose.onboarding.from_video.registration import Edge, relaxed
 from huepose.onboarding.from_video.selection import first_mask
 from huepose.onboarding.from_video.views import View, votes
@@ -286,6 +287,23 @@ def ring(count: int) -> list[View]:
     frame = rendered(pose(0.0), 0)
     mask = np.zeros(frame.depth.shape, bool)
     return [View(frame, mask, mask, pose(2 * np.pi * k / count), None) for k in range(count)]
+
+
+def test_black_surface_stays_black() -> None:
+    """Also where the camera gives 0 in all channels, which the texture has between its triangles, too."""
+    color = np.zeros((240, 320, 3), np.uint8)
+    color[:, 160:] = 200
+    frame = RgbdFrame(color, np.full((240, 320), 0.5, np.float32), CAMERA)
+    everywhere = np.ones(color.shape[:2], bool)
+    view = View(frame, everywhere, ~everywhere, se3.make(np.eye(3), MIDDLE_CAM), None)
+    x, y = (v.ravel() for v in np.meshgrid(np.linspace(-0.1, 0.1, 9), np.linspace(-0.1, 0.1, 9)))
+    a = np.array([9 * i + j for i in range(8) for j in range(8)])
+    faces = np.concatenate([np.stack([a, a + 9, a + 1], 1), np.stack([a + 1, a + 9, a + 10], 1)])
+    vertices = np.stack([x, y, np.zeros(81)], 1)
+    shape = Fused(vertices, np.tile([0.0, 0.0, -1.0], (81, 1)), faces.astype(np.int32), np.ones(81, bool))
+    seen = render([(painted(shape, [view]), view.T_cam_obj)], CAMERA).color
+    assert seen[120, 110:140].max() == 0
+    assert seen[120, 180:210].min() == 200
 
 
 def test_loop_closure_distributes_the_drift() -> None:

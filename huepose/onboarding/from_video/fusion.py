@@ -170,7 +170,7 @@ def painted(shape: Fused, views: Sequence[View]) -> Mesh:
 
     texture = layout.baked(colors)
     # Fill the texels between the triangles, because coarser levels of the texture average them in.
-    texture = reduced(texture, np.asarray(texture.any(2), np.uint8))
+    texture = reduced(texture, layout.baked(lambda faces, _: np.ones((len(faces), 3)))[..., 0])
     return Mesh(shape.vertices.astype(np.float32), shape.faces, layout.uv, texture)
 
 

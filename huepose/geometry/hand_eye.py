@@ -35,6 +35,10 @@ LEAST_SPREAD_RAD = np.radians(10.0)
 """Least RMS rotation of the motions about a second axis. Below it, an error of a degree in a pose becomes
 an error of several centimetres in the result."""
 
+MOST_TURN_RAD = np.radians(150.0)
+"""Largest rotation of a motion that a closed form may use. With errors of some degrees, the axes that the
+hand and the camera show for a half turn may be opposite."""
+
 MOST_STEPS = 50
 """Most evaluations of the refinement. Measurements that fit together need fewer than ten; others never
 converge."""
@@ -58,7 +62,7 @@ def solve(A: Float64, B: Float64, method: Method = "park") -> HandEye:
     B is T_cam_obj. For a camera on the hand and a static object, A is T_base_hand, X is T_hand_cam, and Y is
     T_base_obj. For a fixed camera and an object in the hand, A is T_hand_base, X is T_base_cam, and Y is
     T_hand_obj. Raises InputError for too few measurements, numbers that are not finite, or rotations about
-    one axis only."""
+    one axis only, half turns left out."""
     A, B = np.asarray(A, np.float64), np.asarray(B, np.float64)
     if not (np.isfinite(A).all() and np.isfinite(B).all()):
         raise InputError("hand-eye calibration", found="numbers that are not finite", expected="poses (4, 4)")
@@ -70,17 +74,29 @@ def solve(A: Float64, B: Float64, method: Method = "park") -> HandEye:
         )
     M, alpha = moves(A)  # M X = X N
     N, _ = moves(np.array([se3.inverse(b) for b in B]))
-    most, spread = np.linalg.svd(alpha, compute_uv=False)[:2] / np.sqrt(len(alpha))
-    if spread < LEAST_SPREAD_RAD:
+    certain = np.linalg.norm(alpha, axis=1) < MOST_TURN_RAD
+    most, spread = _spread(alpha)
+    if min(spread, _spread(alpha[certain])[1]) < LEAST_SPREAD_RAD:
+        found = f"rotations about one axis only ({np.degrees(spread):.1f} degrees about any other)"
+        if most < LEAST_SPREAD_RAD:
+            found = f"almost no rotation of the hand ({np.degrees(most):.1f} degrees)"
+        elif spread >= LEAST_SPREAD_RAD:
+            found = "rotations about one axis only, besides half turns"
         raise InputError(
             "hand-eye calibration",
-            found=f"almost no rotation of the hand ({np.degrees(most):.1f} degrees)"
-            if most < LEAST_SPREAD_RAD
-            else f"rotations about one axis only ({np.degrees(spread):.1f} degrees about any other)",
-            expected="the hand rotated about two axes or more, by 20 degrees or more",
+            found=found,
+            expected="the hand rotated about two axes or more, by 20 to 150 degrees",
         )
+    M, N = M[certain], N[certain]
     X = CLOSED_FORMS[method](M, N)
     return _refined(A, B, X, A[0] @ X @ B[0], disagreement(M, N))
+
+
+def _spread(alpha: Float64) -> tuple[float, float]:
+    """RMS rotation about the axis with the most and about the one with the second most, of rotation vectors
+    (K, 3)."""
+    squares = np.linalg.eigvalsh(alpha.T @ alpha / max(len(alpha), 1))
+    return float(np.sqrt(max(squares[2], 0.0))), float(np.sqrt(max(squares[1], 0.0)))
 
 
 def moves(A: Float64) -> tuple[Float64, Float64]:

@@ -72,6 +72,31 @@ def test_motions_that_do_not_determine_the_mount_are_refused() -> None:
         hand_eye.solve(*measured(1))
 
 
+def turned(turns: list[np.ndarray], seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A and B with these rotation vectors of the hand, and errors of 2 mm and 0.5 degrees."""
+    rng = np.random.default_rng(seed)
+    A = np.array([se3.make(se3.rotation_exp(turn), rng.uniform(-0.1, 0.1, 3)) for turn in turns])
+    errors = rng.normal(0.0, 1.0, (len(A), 6)) * [0.002, 0.002, 0.002, *np.radians([0.5, 0.5, 0.5])]
+    return A, np.array([se3.perturb(se3.inverse(a @ X) @ Y, e) for a, e in zip(A, errors, strict=True)])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_hand_that_is_rotated_in_right_angles_gives_the_mount(seed: int) -> None:
+    # Many motions are half turns, whose axis has no certain sign.
+    found = hand_eye.solve(*turned([k * np.pi / 2 * axis for axis in np.eye(3) for k in (1, 2, 3)], seed))
+    assert np.linalg.norm(found.X[:3, 3] - X[:3, 3]) < 0.01
+    assert np.degrees(se3.rotation_angle(found.X, X)) < 1.0
+    assert found.forms_apart[1] < np.radians(3.0)
+
+
+def test_half_turns_do_not_replace_the_second_axis() -> None:
+    about_z = [np.radians(20 * k) * np.eye(3)[2] for k in range(4)]
+    half = se3.rotation_exp(np.pi * np.eye(3)[0])
+    flipped = [se3.rotation_log(half @ se3.rotation_exp(turn)) for turn in about_z]
+    with pytest.raises(InputError, match=r"one axis only, besides half turns; expected .* 20 to 150 degrees"):
+        hand_eye.solve(*turned(about_z + flipped, 0))
+
+
 def test_an_invalid_pose_is_refused() -> None:
     A, B = np.tile(np.eye(4), (2, 12, 1, 1))
     B[3, 0, 3] = np.nan

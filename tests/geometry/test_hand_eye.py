@@ -72,6 +72,13 @@ def test_motions_that_do_not_determine_the_mount_are_refused() -> None:
         hand_eye.solve(*measured(1))
 
 
+def test_poses_without_positions_are_refused() -> None:
+    A, B = measured(8)
+    B[:, :3, 3] = 0.0
+    with pytest.raises(InputError, match="an object in the centre of the camera"):
+        hand_eye.solve(A, B)
+
+
 def turned(turns: list[np.ndarray], seed: int) -> tuple[np.ndarray, np.ndarray]:
     """A and B with these rotation vectors of the hand, and errors of 2 mm and 0.5 degrees."""
     rng = np.random.default_rng(seed)
@@ -212,6 +219,21 @@ def test_the_poses_of_several_objects_are_not_taken_together(
     assert left["poses"] == 6
     assert main([*line, "--name", "mug/1"]) == 0
     assert capsys.readouterr().out.count("residuals of 8 poses: median") == 1
+
+
+def test_frame_numbers_that_begin_again_are_not_mixed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # The camera was opened again: its frames 0 to 9 come after other frames 0 to 5.
+    A, B = measured(16)
+    header, *later = rows(B[6:]).splitlines()
+    earlier = rows(B[:6]).splitlines()[1:]
+    options = files(tmp_path, rows(A[6:]), "\n".join([header, *earlier, *later]) + "\n")
+    assert main(["calibrate", "hand-eye", *options, "--camera", "on-hand"]) == 2
+    assert "object.csv: found frame 0 in two places" in capsys.readouterr().err
+    hand = "\n".join([header, *rows(A[6:]).splitlines()[7:]]) + "\n"
+    options = files(tmp_path, hand, "\n".join([header, *earlier, *later]) + "\n")
+    assert main(["calibrate", "hand-eye", *options, "--camera", "on-hand"]) == 0
 
 
 def test_the_median_is_the_same_in_words_and_as_json(

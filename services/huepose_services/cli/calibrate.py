@@ -58,11 +58,19 @@ def call(arguments: argparse.Namespace) -> int:
 
     if arguments.parent is not None and not is_frame_name(arguments.parent):
         raise InputError("--parent", found=repr(arguments.parent)[:80], expected=FRAME_NAME_IN_WORDS)
-    seen = _of_one_thing(arguments.object, arguments.name)
-    hand = _of_one_thing(arguments.hand, None, of_hand=True)
+    seen, again = _of_one_thing(arguments.object, arguments.name)
+    hand, _ = _of_one_thing(arguments.hand, None, of_hand=True)
     frames = sorted(set(seen) & set(hand))
     if not frames:
         raise InputError(arguments.hand, found="no frame that is in both files", expected="the same frames")
+    if unclear := sorted(again & set(frames)):
+        raise InputError(
+            arguments.object,
+            found=f"frame {unclear[0]} in two places",
+            expected="each frame of --hand once",
+            fix="Numbers begin again when the camera is opened again: in both files keep only the rows since "
+            "then, or only those before.",
+        )
     fixed = arguments.camera == "fixed"
     hands, B = (np.array([poses[f] for f in frames]) for poses in (hand, seen))
     if np.array_equal(hands, B):
@@ -173,11 +181,12 @@ def _in_words(sure: Certainty, count: int, parent: str) -> str:
     )
 
 
-def _of_one_thing(path: Path, name: str | None, of_hand: bool = False) -> dict[int, Float64]:
-    """The poses (4, 4) in a file, by frame number. name: of the object, with or without its instance;
-    needed if the file has several. Raises InputError, also if the file of the hand has poses of an object:
-    they would fit, but give the inverse of the right mount."""
+def _of_one_thing(path: Path, name: str | None, of_hand: bool = False) -> tuple[dict[int, Float64], set[int]]:
+    """The poses (4, 4) in a file, by frame number, and the frames that come again after others. name: of the
+    object, with or without its instance; needed if the file has several. Raises InputError, also if the file
+    of the hand has poses of an object: they would fit, but give the inverse of the right mount."""
     from collections import Counter
+    from itertools import groupby
 
     from huepose.evaluation.pose_files import read_pose_rows
 
@@ -202,7 +211,9 @@ def _of_one_thing(path: Path, name: str | None, of_hand: bool = False) -> dict[i
             else "Give --name with the instance number."
         )
         raise InputError(path, found=f"poses of {kinds}", expected="poses of one thing", fix=fix)
-    return {row.frame: row.T for row in rows}
+    runs = Counter(frame for frame, _ in groupby(row.frame for row in rows))
+    again = {frame for frame, count in runs.items() if count > 1}
+    return {row.frame: row.T for row in rows}, again
 
 
 def _of(values: Float64) -> dict[str, float]:

@@ -61,8 +61,8 @@ def solve(A: Float64, B: Float64, method: Method = "park") -> HandEye:
 
     B is T_cam_obj. For a camera on the hand and a static object, A is T_base_hand, X is T_hand_cam, and Y is
     T_base_obj. For a fixed camera and an object in the hand, A is T_hand_base, X is T_base_cam, and Y is
-    T_hand_obj. Raises InputError for too few measurements, numbers that are not finite, or rotations about
-    one axis only, half turns left out."""
+    T_hand_obj. Raises InputError for too few measurements, numbers that are not finite, an object without
+    positions, or rotations about one axis only, half turns left out."""
     A, B = np.asarray(A, np.float64), np.asarray(B, np.float64)
     if not (np.isfinite(A).all() and np.isfinite(B).all()):
         raise InputError("hand-eye calibration", found="numbers that are not finite", expected="poses (4, 4)")
@@ -72,6 +72,9 @@ def solve(A: Float64, B: Float64, method: Method = "park") -> HandEye:
             found=counted(len(A), "measurement"),
             expected=f"{FEWEST} or more, better twelve, with the hand rotated about different axes",
         )
+    if lever(B) == 0.0:
+        found = "an object in the centre of the camera"
+        raise InputError("hand-eye calibration", found=found, expected="positions of the object, metres")
     M, alpha = moves(A)  # M X = X N
     N, _ = moves(np.array([se3.inverse(b) for b in B]))
     certain = np.linalg.norm(alpha, axis=1) < MOST_TURN_RAD

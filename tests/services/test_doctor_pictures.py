@@ -11,9 +11,12 @@ import msgspec
 import numpy as np
 import pytest
 
+from huepose.datasets.bop_writer import BopWriter
+from huepose.geometry import Camera
 from huepose.model.io import model_path, save_model
 from huepose.scenes.builtin import SyntheticScene
 from huepose_services.camera.faulty import Orders
+from huepose_services.camera.live import LiveSource
 from huepose_services.cli.main import main
 from huepose_services.doctor import pictures
 from huepose_services.doctor.pictures import alignment, brightness, depth, edge_offset
@@ -177,6 +180,41 @@ def test_timestamps_of_wall_time_are_reported(tmp_path, capsys, monkeypatch, pyt
     (said,) = [f for f in json.loads(capsys.readouterr().out) if "timestamps" in f["found"]]
     assert said["state"] == "bad"
     assert "Give the time.monotonic_ns()" in said["found"]
+
+
+def _checked(tmp_path, capsys, camera):
+    (tmp_path / "pipeline.yaml").write_text(json.dumps({"camera": camera, "workers": ["camera"]}))
+    main(["doctor", str(tmp_path / "pipeline.yaml"), "--camera", "--json"])
+    return {f["subject"]: f for f in json.loads(capsys.readouterr().out)}
+
+
+def test_a_source_that_is_played_once_and_soon_ends_is_checked(tmp_path, capsys):
+    (tmp_path / "cam.py").write_text(
+        "import numpy as np\nfrom huepose import Camera, RgbdFrame\n"
+        "def frames():\n    for k in range(3):\n        yield RgbdFrame(np.full((48, 64, 3), k, np.uint8), "
+        "np.ones((48, 64), np.float32), Camera(60.0, 60.0, 31.5, 23.5, 64, 48))\n"
+    )
+    found = _checked(tmp_path, capsys, {"source": "python", "path": "cam.py", "once": True})
+    assert found["camera"]["found"] == "64 x 48, fx 60.0 fy 60.0"
+
+
+def test_images_of_several_sizes_are_checked_by_the_last_size(tmp_path, capsys):
+    scene = BopWriter(tmp_path / "scene", {})
+    for image, (width, height) in enumerate([(96, 64)] * 5 + [(64, 48)] * 5):
+        camera = Camera(60.0, 60.0, (width - 1) / 2, (height - 1) / 2, width, height)
+        color, depth = np.full((height, width, 3), 90, np.uint8), np.ones((height, width), np.float32)
+        scene.add(image, color, depth, camera, [])
+    found = _checked(tmp_path, capsys, {"source": "bop", "path": "scene"})
+    assert found["camera"]["found"] == "64 x 48, fx 60.0 fy 60.0"
+
+
+def test_an_error_of_the_sdk_is_reported(tmp_path, capsys, monkeypatch):
+    def fails():
+        raise RuntimeError("failed to set power state")
+
+    monkeypatch.setattr(pictures, "open_source", lambda config: LiveSource("cam", "", fails))
+    found = _checked(tmp_path, capsys, {"source": "oak"})
+    assert (found["camera"]["state"], found["camera"]["found"]) == ("bad", "failed to set power state")
 
 
 def test_each_of_several_cameras_is_checked(tmp_path, capsys, monkeypatch):

@@ -35,7 +35,7 @@ from huepose.support.errors import InputError
 from huepose.support.words import beside
 from huepose_services import models
 from huepose_services.camera.condition import Condition
-from huepose_services.camera.live import CameraError, LiveSource
+from huepose_services.camera.live import LiveSource, SourceEnded
 from huepose_services.camera.sources import open_source
 from huepose_services.convert import LARGEST_STEP
 from huepose_services.doctor.checks import Finding
@@ -74,13 +74,14 @@ def pictures(config: Config) -> Iterator[Finding]:
         source = open_source(config)
         live = config.camera.source in LIVE_SOURCES
         frames, findings = _live(source, config) if live else (_recorded(source), [])
-    except (CameraError, InputError) as error:
+    except (RuntimeError, InputError) as error:  # SDKs raise RuntimeError, as CameraError is
         yield Finding("camera", "bad", str(error))
         return
     yield from findings
     if not frames:
         yield Finding("camera", "bad", f"no image in {LOOK_S:g} s", "Is another program using it?")
         return
+    frames = [frame for frame in frames if frame.depth.shape == frames[-1].depth.shape]
     camera = frames[0].camera
     matrix = f"{camera.width} x {camera.height}, fx {camera.fx:.1f} fy {camera.fy:.1f}"
     doubt = camera_doubted(camera)
@@ -120,6 +121,8 @@ def _live(source: LiveSource, config: Config) -> tuple[list[RgbdFrame], list[Fin
             complaints |= condition.complaints(now_ns())
             # The last ones: the first are dark until the exposure has settled.
             frames = [*frames, RgbdFrame(shot.color, shot.depth, shot.camera)][-_FRAMES:]
+    except SourceEnded:
+        pass  # it has fewer images than can be read in this time
     finally:
         camera.close()
     return frames, [Finding("camera", "bad", text) for text in complaints.values()]

@@ -94,13 +94,17 @@ class Rectifier:
         return Rectifier((np.asarray(columns, np.float32), np.asarray(rows, np.float32)))
 
     def color(self, image: UInt8) -> UInt8:
-        """The rectified colour image (H, W, 3)."""
-        if self._maps is None:
-            return image
-        return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR), dtype=np.uint8)
+        """The rectified colour image (H, W, 3). Raises InputError for an image of another size."""
+        return np.asarray(self._rectified(image, cv2.INTER_LINEAR), dtype=np.uint8)
 
     def depth(self, depth: Float32) -> Float32:
-        """The rectified depth (H, W): readings are moved, never interpolated."""
+        """The rectified depth (H, W): readings are moved, never interpolated. Raises InputError for an image
+        of another size."""
+        return np.asarray(self._rectified(depth, cv2.INTER_NEAREST), dtype=np.float32)
+
+    def _rectified(self, image: np.ndarray, how: int) -> np.ndarray:
         if self._maps is None:
-            return depth
-        return np.asarray(cv2.remap(depth, *self._maps, cv2.INTER_NEAREST), dtype=np.float32)
+            return image
+        if image.shape[:2] != self._maps[0].shape:
+            raise InputError("image", found=str(image.shape[:2]), expected=f"the size {self._maps[0].shape}")
+        return cv2.remap(image, *self._maps, how)

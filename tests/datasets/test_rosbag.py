@@ -157,6 +157,23 @@ def test_distorted_images_are_rectified(name: str, tmp_path: Path) -> None:
     assert not np.array_equal(frame.color, COLORS[0])
 
 
+@pytest.mark.parametrize("which", ["color", "depth"])
+@pytest.mark.parametrize("d", [[0.0] * 5, BARREL])
+def test_an_image_of_another_size_than_the_first_is_refused(
+    which: str, d: list[float], tmp_path: Path
+) -> None:
+    ros = Ros("desk.bag")
+
+    def image(n: int, ns: int) -> Any:
+        pixels = COLORS[n] if which == "color" else DEPTHS_MM[n]
+        return ros.image(pixels[::2, ::2] if n else pixels, "rgb8" if which == "color" else "16UC1", ns)
+
+    scene = RosbagScene(ros.write(tmp_path / "desk.bag", desk(ros, d, **{which: image})), Topics())
+    scene.frame(0)
+    with pytest.raises(InputError, match="12, 16"):
+        scene.frame(1)
+
+
 def test_rectified_images_have_the_intrinsics_in_p(tmp_path: Path) -> None:
     ros = Ros("a")
     messages = desk(ros, BARREL, color_topic="/cam/color/image_rect_color")

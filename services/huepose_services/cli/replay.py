@@ -39,9 +39,7 @@ def add_parser(subparsers: Any) -> None:
         description="Publish a recording of huepose record, with its timing, on the ports of a pipeline. To "
         "let a pipeline estimate new poses in its frames, set camera.source: recording.",
     )
-    parser.add_argument(
-        "files", type=Path, nargs="+", metavar="FILE", help="a recording; all its parts in their order"
-    )
+    parser.add_argument("files", type=Path, nargs="+", metavar="FILE", help="a recording, with all its parts")
     add_path(
         parser,
         "--config",
@@ -72,7 +70,7 @@ def call(arguments: argparse.Namespace) -> int:
     single_threaded()
     from huepose_services.recording.read import Recording
 
-    recordings = [Recording(path) for path in arguments.files]
+    recordings = _in_order([Recording(path) for path in arguments.files])
     if arguments.verify:
         return _verify(recordings, arguments)
     if arguments.bop is not None:
@@ -85,6 +83,21 @@ def call(arguments: argparse.Namespace) -> int:
             say("huepose replay: the recording has no frames (--no-frames), so no scene is written")
         return 0 if exported.frames else 1
     return _play(arguments, recordings)
+
+
+def _in_order(recordings: list[Recording]) -> list[Recording]:
+    """The same files, the parts of each recording in their order: shells sort run_0001.mcap before
+    run.mcap."""
+
+    def part_of(recording: Recording) -> tuple[Path, int]:
+        number, path = recording.notes.get("huepose", {}).get("part", ""), recording.path
+        part = int(number) if number.isdecimal() else 0
+        return path.with_name(path.name.replace(f"_{part:04d}.", ".") if part else path.name), part
+
+    parts = [part_of(recording) for recording in recordings]
+    firsts = [path for path, _ in parts]
+    order = sorted(range(len(parts)), key=lambda k: (firsts.index(firsts[k]), parts[k][1]))
+    return [recordings[k] for k in order]
 
 
 def _events(recordings: list[Recording]) -> Iterator[Event]:

@@ -287,6 +287,27 @@ def test_recordings_of_several_cameras_are_played_each_as_its_own(tmp_path, monk
     assert "a recording of camera 'left'" in refused(["replay", left, "--config", path])
 
 
+def test_parts_are_played_in_their_order_however_the_shell_sorts_them(tmp_path, monkeypatch):
+    # In most languages a shell sorts out_0001.mcap before out.mcap.
+    for part, name in enumerate(("out", "out_0001", "out_0002")):
+        out = parts(tmp_path / name)
+        out.note("huepose", {"part": str(part)})
+        out.frame(*tiny_frame(part), KEY + "frame")
+        out.close()
+    other = parts(tmp_path / "another")
+    other.frame(*tiny_frame(3), KEY + "frame")
+    other.close()
+    path = tmp_path / "pipeline.yaml"
+    path.write_text(json.dumps({"bus": {"base_port": free_port_range(20)}}))
+    played = []
+    monkeypatch.setattr(Bus, "put_pixels", lambda bus, key, header, payload: played.append(header.frame_id))
+    names = ("out_0001", "out_0002", "out", "another")
+    files = [str(tmp_path / f"{name}.mcap") for name in names]
+    monkeypatch.setattr("huepose_services.recording.play._REORDER_NS", 0)
+    assert main(["replay", *files, "--config", str(path)]) == 0
+    assert played == [0, 1, 2, 3]
+
+
 @pytest.mark.live
 @pytest.mark.usefixtures("same_handlers")
 def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, tmp_path):

@@ -68,6 +68,12 @@ class RecordedScene:
                 }
             except WireError as error:
                 raise InputError(self._recording.path, found=str(error)) from None
+            if key not in self._near:
+                raise InputError(
+                    self._recording.path,
+                    found="another file than before",
+                    expected="that it stays as it is",
+                )
         return self._near[key]
 
     def truths(self, image: int) -> tuple[GroundTruth, ...]:

@@ -35,6 +35,9 @@ from huepose_services.recording.parts import COLOR, DEPTH
 _MAX_RECORD = 256 * 1024 * 1024
 """Bytes of a chunk, before and after it is unpacked: a small file must not fill the memory."""
 
+_BROKEN = (McapError, struct.error, ValueError, OverflowError, MemoryError)
+"""What the reader of MCAP raises for a file that is cut off or damaged."""
+
 
 @dataclass(frozen=True)
 class Event:
@@ -50,7 +53,7 @@ def is_of_ros(path: Path) -> bool:
     try:
         with path.open("rb") as file:
             first = next(iter(StreamReader(file, record_size_limit=_MAX_RECORD).records), None)
-    except (OSError, McapError, struct.error, ValueError, OverflowError, MemoryError):
+    except (OSError, *_BROKEN):
         return False
     return isinstance(first, Header) and first.profile == "ros2"
 
@@ -113,15 +116,18 @@ class Recording:
                 elif isinstance(record, Footer):
                     self.cut = ""
                 place = file.tell()
-        except (McapError, struct.error, ValueError, OverflowError, MemoryError):
+        except _BROKEN:
             return  # the rest is no complete record
 
     def chunk(self, place: int) -> Chunk:
         """The chunk at a position that `chunks` gave."""
-        with self.path.open("rb") as file:
-            file.seek(place)
-            reader = StreamReader(file, skip_magic=True, emit_chunks=True, record_size_limit=_MAX_RECORD)
-            record = next(iter(reader.records), None)
+        try:
+            with self.path.open("rb") as file:
+                file.seek(place)
+                reader = StreamReader(file, skip_magic=True, emit_chunks=True, record_size_limit=_MAX_RECORD)
+                record = next(iter(reader.records), None)
+        except (OSError, *_BROKEN):
+            record = None
         if not isinstance(record, Chunk):
             raise InputError(self.path, found="another file than before", expected="that it stays as it is")
         return record

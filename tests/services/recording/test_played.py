@@ -160,6 +160,22 @@ def test_a_recording_is_a_camera(tmp_path):
         RecordedScene(mcap_of(tmp_path / "x.mcap", topic="/other"))
 
 
+@pytest.mark.parametrize("change", ["removed", "cut", "damaged"])
+def test_a_recording_that_changes_while_it_is_played_is_reported(tmp_path, change):
+    path = written(tmp_path / "out").path
+    scene, content = RecordedScene(path), bytearray(path.read_bytes())
+    place, chunk = next(Recording(path).chunks())
+    if change == "removed":
+        path.unlink()
+    elif change == "cut":
+        path.write_bytes(content[: place + 20])
+    else:
+        content[place + len(chunk.data) // 2] ^= 255
+        path.write_bytes(content)
+    with pytest.raises(InputError, match="another file than before"):
+        scene.frame(0)
+
+
 def test_a_recording_with_impossible_intrinsics_is_refused(tmp_path):
     out = parts(tmp_path / "out")
     header, color, depth = tiny_frame(4)

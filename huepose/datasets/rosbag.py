@@ -104,8 +104,9 @@ class _Place:
 
 
 def _paired(colors: list[_Place], depths: list[_Place]) -> list[tuple[_Place, _Place]]:
-    """Each colour image with its depth image, in order of time; colour images without one are left out."""
-    colors, depths = sorted(colors), sorted(depths)
+    """Each colour image with its depth image, in order of time; colour images without one are left out, and
+    repetitions, which have the timestamp of another."""
+    colors, depths = sorted({color.stamp_ns: color for color in colors}.values()), sorted(depths)
     gaps = sorted(b.stamp_ns - a.stamp_ns for a, b in pairwise(colors))
     reach_ns = (gaps[len(gaps) // 2] if gaps else _USUAL_NS) // 2
     stamps = [depth.stamp_ns for depth in depths]

@@ -157,6 +157,15 @@ def test_distorted_images_are_rectified(name: str, tmp_path: Path) -> None:
     assert not np.array_equal(frame.color, COLORS[0])
 
 
+def test_images_that_were_recorded_twice_are_read_once(tmp_path: Path) -> None:
+    ros = Ros("desk.bag")
+    once = desk(ros)
+    again = [(topic, log_ns + 1000, m) for topic, log_ns, m in once if topic != INFO]
+    scene = RosbagScene(ros.write(tmp_path / "desk.bag", [*once, *again]), Topics())
+    assert [scene.stamp_ns(image) for image in scene.image_ids] == [stamps_ns(n)[0] for n in (0, 1, 3)]
+    assert (scene.frame(2).color == COLORS[3]).all()
+
+
 @pytest.mark.parametrize("which", ["color", "depth"])
 @pytest.mark.parametrize("d", [[0.0] * 5, BARREL])
 def test_an_image_of_another_size_than_the_first_is_refused(

@@ -120,6 +120,10 @@ class FastYcbSequence:
             )
         self._stamps = self._read_stamps()
         self._camera = read_camera(self.path / "cam_K.json")
+        if len(self._camera.distortion):
+            raise InputError(
+                self._camera.path, found="a distorted lens", expected="rectified images, and their intrinsics"
+            )
         poses_path = self.path / "gt" / "poses_ycb.txt"
         self._poses = axis_angle_poses(poses_path) if poses_path.exists() else np.empty((0, 4, 4))
         if len(self._poses) and self.image_ids[-1] >= len(self._poses):

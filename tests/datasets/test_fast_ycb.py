@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import cv2
@@ -106,6 +107,14 @@ def test_the_error_names_a_camera_file_with_another_image_size(fast_sequence: Pa
     path.write_text(path.read_text().replace('"width": 16', '"width": 32'))
     with pytest.raises(InputError, match=r"cam_K\.json"):
         FastYcbSequence(fast_sequence, OFFSET_M).frame(0)
+
+
+def test_images_of_a_distorted_lens_are_refused(fast_sequence: Path) -> None:
+    path = fast_sequence / "cam_K.json"
+    lens = {"distortion_model": "plumb_bob", "distortion": [-0.2, 0.05, 0.0, 0.0, 0.0]}
+    path.write_text(json.dumps(json.loads(path.read_text()) | lens))
+    with pytest.raises(InputError, match=r"cam_K\.json: found a distorted lens; expected rectified images"):
+        FastYcbSequence(fast_sequence, OFFSET_M)
 
 
 def test_gaps_name_the_first_image_that_is_incomplete(fast_sequence: Path) -> None:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from huepose_services.runtime.config import Config
 
 _SETTLE_S = 1.0
+_MOST_EARLIER_NS = 10_000_000_000
 
 
 def add_parser(subparsers: Any) -> None:
@@ -100,6 +101,32 @@ def _in_order(recordings: list[Recording]) -> list[Recording]:
     return [recordings[k] for k in order]
 
 
+def _check_one_run(recordings: list[Recording]) -> None:
+    """Raises InputError for recordings of several cameras, or of which a later one began earlier: with their
+    messages mixed they can be neither played nor verified."""
+    from huepose_protos.keys import camera_of
+
+    camera, began_ns = "", 0
+    for recording in recordings:
+        event = next(iter(recording.events()), None)
+        if event is None:
+            continue
+        its_camera, its_ns = camera_of(event.key), event.message.publish_ns
+        # A part may begin with frames that the tracker gave late.
+        if (camera and its_camera != camera) or its_ns < began_ns - _MOST_EARLIER_NS:
+            found = "a recording that began before the last one"
+            if its_camera != camera:
+                found = f"a recording of camera '{its_camera}'"
+            raise InputError(
+                recording.path,
+                found=found,
+                expected="the parts of one recording",
+                fix="Play or verify it by itself; several cameras are played together with the --config that "
+                "has them.",
+            )
+        camera, began_ns = its_camera, its_ns
+
+
 def _events(recordings: list[Recording]) -> Iterator[Event]:
     return chain.from_iterable(recording.events() for recording in recordings)
 
@@ -113,6 +140,7 @@ def _say_cut(recordings: list[Recording]) -> None:
 def _verify(recordings: list[Recording], arguments: argparse.Namespace) -> int:
     from huepose_services.recording.verify import verify
 
+    _check_one_run(recordings)
     report = verify(recordings, arguments.bundles)
     _say_cut(recordings)
     print_result(arguments, asdict(report), report.text)
@@ -129,6 +157,8 @@ def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
     from huepose_services.runtime.running import described, noted
 
     cameras = _of_cameras(arguments, recordings)
+    for _, files in cameras:
+        _check_one_run(files)
     names = ", ".join(f"{config.site}/{config.camera.name}" for config, _ in cameras)
     stopping = catch_stop_signals()
     with ExitStack() as stack:

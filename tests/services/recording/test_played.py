@@ -324,6 +324,20 @@ def test_parts_are_played_in_their_order_however_the_shell_sorts_them(tmp_path, 
     assert played == [0, 1, 2, 3]
 
 
+@pytest.mark.parametrize("how", [[], ["--verify"]])
+@pytest.mark.parametrize(
+    ("camera", "number", "said"),
+    [("cam1", 30, "a recording of camera 'cam1'"), ("cam0", 0, "a recording that began before the last one")],
+)
+def test_recordings_that_do_not_follow_each_other_are_not_mixed(tmp_path, refused, how, camera, number, said):
+    for name, of, at in (("one", "cam0", 1000), ("two", camera, number)):
+        out = parts(tmp_path / name)
+        out.frame(*tiny_frame(at), f"huepose/a/{of}/frame")
+        out.close()
+    error = refused(["replay", tmp_path / "one.mcap", tmp_path / "two.mcap", *how])
+    assert f"two.mcap: found {said}; expected the parts of one recording" in error
+
+
 @pytest.mark.live
 @pytest.mark.usefixtures("same_handlers")
 def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, tmp_path):

@@ -53,8 +53,8 @@ def export_bop(events: Iterable[Event], folder: Path) -> Exported:
     again, its numbers continue, and all poses name the first epoch. Labels name their objects; objects
     without a BOP number get free ones.
 
-    If it is interrupted, it empties the folder, or removes one that it made. Raises InputError for a folder
-    that is not empty, or cannot be made."""
+    If it is interrupted or fails, it empties the folder, or removes one that it made. Raises InputError for a
+    folder that is not empty, or cannot be made, and for a full disk."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(folder, found="something there", expected="a new or empty folder")
     made = not folder.exists()
@@ -63,7 +63,7 @@ def export_bop(events: Iterable[Event], folder: Path) -> Exported:
             (folder / name).mkdir(parents=True)
     try:
         return _exported(events, folder)
-    except KeyboardInterrupt:
+    except BaseException:
         for path in list(folder.iterdir()):
             if path.is_dir():
                 shutil.rmtree(path)

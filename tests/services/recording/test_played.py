@@ -257,21 +257,23 @@ def test_a_replay_can_be_stopped_before_it_begins(tmp_path, monkeypatch, capsys)
     assert "stopped after" in capsys.readouterr().err
 
 
-def test_an_export_that_is_stopped_leaves_no_files(tmp_path):
+@pytest.mark.parametrize("error", [KeyboardInterrupt, InputError("out.mcap", found="an invalid message")])
+def test_an_export_that_is_stopped_or_fails_leaves_no_files(tmp_path, error):
     event = next(Recording(written(tmp_path / "out").path).events())
 
     def stopped():
         yield event
-        raise KeyboardInterrupt
+        raise error
 
-    with pytest.raises(KeyboardInterrupt):
+    kind = error if isinstance(error, type) else type(error)
+    with pytest.raises(kind):
         export_bop(stopped(), tmp_path / "bop")
     assert not (tmp_path / "bop").exists()
     own = tmp_path / "own"
     own.mkdir()
     (tmp_path / "link").symlink_to(own)
     for folder in (own, tmp_path / "link"):
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(kind):
             export_bop(stopped(), folder)
         assert list(folder.iterdir()) == []
 

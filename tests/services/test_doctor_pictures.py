@@ -214,7 +214,14 @@ def test_an_error_of_the_sdk_is_reported(tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr(pictures, "open_source", lambda config: LiveSource("cam", "", fails))
     found = _checked(tmp_path, capsys, {"source": "oak"})
-    assert (found["camera"]["state"], found["camera"]["found"]) == ("bad", "failed to set power state")
+    assert (found["camera"]["state"], found["camera"]["found"]) == ("bad", "cam: failed to set power state")
+
+
+def test_a_camera_that_does_not_answer_is_reported(tmp_path, capsys):
+    (tmp_path / "cam.py").write_text("import time\ndef frames():\n    time.sleep(60)\n    yield\n")
+    found = _checked(tmp_path, capsys, {"source": "python", "path": "cam.py"})
+    assert found["camera"]["state"] == "bad"
+    assert found["camera"]["found"].startswith("cam.py: reading it takes longer than 1.5 s. frames() waits")
 
 
 def test_each_of_several_cameras_is_checked(tmp_path, capsys, monkeypatch):

@@ -35,7 +35,8 @@ from huepose.support.errors import InputError
 from huepose.support.words import beside
 from huepose_services import models
 from huepose_services.camera.condition import Condition
-from huepose_services.camera.live import LiveSource, SourceEnded
+from huepose_services.camera.live import LiveSource
+from huepose_services.camera.reader import Reader
 from huepose_services.camera.sources import open_source
 from huepose_services.convert import LARGEST_STEP
 from huepose_services.doctor.checks import Finding
@@ -44,6 +45,7 @@ from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import LIVE_SOURCES, CameraConfig
 
 LOOK_S = 3.0
+_OPENING_S = 10.0
 _FRAMES = 10
 _GLARE = 255
 FEWEST_PIXELS = 400
@@ -74,12 +76,13 @@ def pictures(config: Config) -> Iterator[Finding]:
         source = open_source(config)
         live = config.camera.source in LIVE_SOURCES
         frames, findings = _live(source, config) if live else (_recorded(source), [])
-    except (RuntimeError, InputError) as error:  # SDKs raise RuntimeError, as CameraError is
+    except InputError as error:
         yield Finding("camera", "bad", str(error))
         return
     yield from findings
-    if not frames:
+    if not frames and not findings:
         yield Finding("camera", "bad", f"no image in {LOOK_S:g} s", "Is another program using it?")
+    if not frames:
         return
     frames = [frame for frame in frames if frame.depth.shape == frames[-1].depth.shape]
     camera = frames[0].camera
@@ -104,27 +107,34 @@ def pictures(config: Config) -> Iterator[Finding]:
 
 def _live(source: LiveSource, config: Config) -> tuple[list[RgbdFrame], list[Finding]]:
     """Some frames of a live camera, and the faults that its worker would report."""
-    camera = source.open()
     settings = config.camera
     condition = Condition(float(settings.rate), LARGEST_STEP * settings.depth_scale_m, settings.check)
     frames: list[RgbdFrame] = []
     complaints: dict[str, str] = {}
-    until, came = time.monotonic() + LOOK_S, 0
+    reader = Reader(source, float(settings.rate))  # it does not wait for an SDK that hangs
+    if not reader.started:
+        reader.start()
+    until, opened = time.monotonic() + _OPENING_S, False
     try:
         while time.monotonic() < until:
-            shot = camera.read(0.25)
-            if shot is None:
+            if reader.openings and not opened:
+                until, opened = time.monotonic() + LOOK_S, True
+            over, taken = reader.over, reader.take(0.25)
+            if taken is None:
+                failed = reader.trouble is not None and reader.stuck_s() == 0.0
+                if over or (failed and not frames):
+                    break
                 continue
-            condition.look(shot, now_ns(), camera.device_clock_is_host)
-            came += 1
-            condition.count(came, now_ns())
+            shot = taken.shot
+            condition.look(shot, now_ns(), taken.device_clock_is_host)
+            condition.count(reader.pictures, now_ns())
             complaints |= condition.complaints(now_ns())
             # The last ones: the first are dark until the exposure has settled.
             frames = [*frames, RgbdFrame(shot.color, shot.depth, shot.camera)][-_FRAMES:]
-    except SourceEnded:
-        pass  # it has fewer images than can be read in this time
+        if (trouble := reader.trouble) is not None:
+            complaints["trouble"] = trouble
     finally:
-        camera.close()
+        reader.close()
     return frames, [Finding("camera", "bad", text) for text in complaints.values()]
 
 

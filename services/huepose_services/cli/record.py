@@ -95,6 +95,11 @@ def call(arguments: argparse.Namespace) -> int:
                 end_at = min(end_at, time.monotonic() + arguments.seconds)
             if time.monotonic() >= end_at:
                 break
+        recorder.unsubscribe()
+        at_once = catch_stop_signals()  # a second Ctrl-C
+        while recorder.waiting and not at_once():
+            recorder.step(0.0)
+            status.show(f"writing what has come: {_how_far(recorder, parts)}")
     except OSError as error:
         say(f"\nhuepose record: {error.strerror or error}; what was written is kept")
         code = 1

@@ -245,9 +245,22 @@ class Arrivals:
             if not self._waiting:
                 self._ready.wait(timeout_s)
 
-    def close(self) -> None:
-        """End all subscriptions."""
+    @property
+    def waiting(self) -> bool:
+        """Whether there is something to take."""
+        return bool(self._waiting)
+
+    def unsubscribe(self) -> None:
+        """End all subscriptions; what has come can still be taken."""
         self._closed.set()
-        for subscriber, thread in self._subscriptions:
+        while self._subscriptions:
+            subscriber, thread = self._subscriptions.pop()
             subscriber.undeclare()
             thread.join(1.0)
+
+    def close(self) -> None:
+        """End all subscriptions, and drop what waits."""
+        self.unsubscribe()
+        while (arrived := self.take()) is not None:
+            if arrived.pixels:
+                self._drop(arrived)

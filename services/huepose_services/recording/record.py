@@ -100,6 +100,11 @@ class Recorder:
         return self._arrivals.missed
 
     @property
+    def waiting(self) -> bool:
+        """Whether messages came that are not written yet."""
+        return self._arrivals.waiting
+
+    @property
     def lost(self) -> int:
         """Frames and steps of the tracker that came neither by themselves nor on request."""
         return self._arrivals.taken.lost
@@ -127,8 +132,12 @@ class Recorder:
         self._look_at = time.monotonic() + _LOOK_EVERY_S
         self._check_workers()
 
+    def unsubscribe(self) -> None:
+        """Let no more messages come; `step` writes those that wait."""
+        self._arrivals.unsubscribe()
+
     def close(self) -> None:
-        """End the subscriptions."""
+        """End the subscriptions. Frames that still wait are missed."""
         self._arrivals.close()
 
     def _write(self, arrived: Arrived) -> None:

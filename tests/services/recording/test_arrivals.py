@@ -44,7 +44,8 @@ def test_frames_beyond_the_memory_limit_are_lost_and_messages_never(most):
     arrivals = Arrivals(_Channel(samples), ["all"], most)
     arrivals.wait(5.0)
     until(lambda: not samples)
-    arrivals.close()
+    arrivals.unsubscribe()
+    assert arrivals.waiting
     out = []
     while (arrived := arrivals.take()) is not None:
         out.append(arrived)
@@ -53,3 +54,13 @@ def test_frames_beyond_the_memory_limit_are_lost_and_messages_never(most):
     assert [a.header for a in out if a.key == "pose"] == [b"p%d" % n for n in range(5)]
     assert [a.header for a in out if a.key == "frame"] == [b"%d" % n for n in range(kept)]
     assert out[:2] == [Arrived("frame", b"0", bytes(10)), Arrived("pose", b"p0", b"")]
+    assert not arrivals.waiting
+
+
+def test_frames_that_are_never_written_count_as_missed():
+    samples = [_Sample("frame", b"1", bytes(10)), _Sample("pose", b"p"), _Sample("frame", b"2", bytes(10))]
+    arrivals = Arrivals(_Channel(samples), ["all"], 100)
+    until(lambda: not samples)
+    arrivals.close()
+    arrivals.close()
+    assert (arrivals.missed, arrivals.waiting) == (2, False)

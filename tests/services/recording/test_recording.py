@@ -16,10 +16,12 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from huepose.support.errors import InputError
+from huepose_protos import encode
 from huepose_protos.examples import example
 from huepose_protos.messages import FrameHeader, PoseMessage
 from huepose_services.cli.main import main
 from huepose_services.cli.record import _how_far
+from huepose_services.recording.arrivals import Arrivals, Arrived
 from huepose_services.recording.parts import DiskFullError, Limits
 from huepose_services.recording.read import Recording
 from huepose_services.recording.record import Span
@@ -46,6 +48,29 @@ def test_what_is_written_is_read_back_exactly(tmp_path):
     assert [e.message.frame_id for e in events] == [7, 7, 8, 8, 12, 12]
     assert {e.key for e in events} == {KEY + "frame", KEY + "pose/x/1"}
     assert msgspec.structs.replace(events[1].message, frame_id=42, publish_ns=POSE.publish_ns) == POSE
+
+
+class _Came(Arrivals):
+    """Twenty poses that came before the recorder took the first one."""
+
+    def __init__(self, *_):
+        super().__init__(MagicMock(), [], 2**20)
+        for number in range(20):
+            data = encode(msgspec.structs.replace(POSE, frame_id=number))
+            self._waiting.append(Arrived("huepose/local/cam0/pose/x/1", data, b""))
+
+
+@pytest.mark.parametrize(("second", "poses"), [(False, 20), (True, 0)])
+def test_what_came_before_the_end_is_written_unless_ctrl_c_comes_again(tmp_path, monkeypatch, second, poses):
+    stopped = [lambda: second, lambda: True]
+    monkeypatch.setattr("huepose_services.cli.record.catch_stop_signals", stopped.pop)
+    monkeypatch.setattr("huepose_services.recording.record.Arrivals", _Came)
+    config = tmp_path / "pipeline.yaml"
+    config.write_text("bus: {base_port: 29147}\nbundles: bundles\nobjects: [{name: cup}]\n")
+    path = tmp_path / "out.mcap"
+    assert main(["record", str(path), "--config", str(config)]) == (0 if poses else 1)
+    events = Recording(path).events() if poses else []
+    assert [event.message.frame_id for event in events] == list(range(poses))
 
 
 def test_other_programs_read_a_recording_by_well_known_schemas(tmp_path):

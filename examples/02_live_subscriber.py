@@ -10,9 +10,8 @@ import sys
 from huepose_protos import PoseClient
 from huepose_protos.local import pose_endpoints
 
-where = sys.argv[1:] or pose_endpoints()
 try:
-    with PoseClient(where) as client:
+    with PoseClient(sys.argv[1:] or pose_endpoints()) as client:
         while True:
             pose = client.next(timeout_s=3.0)
             if pose is not None:
@@ -22,5 +21,7 @@ try:
                 print(client.why_silent(), file=sys.stderr, flush=True)
 except KeyboardInterrupt:
     pass
+except ValueError as error:  # a wrong address, or several pipelines run here
+    sys.exit(str(error))
 except BrokenPipeError:  # `| head` has read enough, and nothing is left to flush at exit
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -60,5 +60,8 @@ def pick(T: np.ndarray) -> None:
 
 if len(sys.argv) < 2:
     sys.exit(__doc__)
-with suppress(KeyboardInterrupt), PoseClient(sys.argv[2:] or pose_endpoints()) as client:
-    pick(wait_until_still(client, sys.argv[1]))
+try:
+    with suppress(KeyboardInterrupt), PoseClient(sys.argv[2:] or pose_endpoints()) as client:
+        pick(wait_until_still(client, sys.argv[1]))
+except ValueError as error:  # a wrong address, or several pipelines run here
+    sys.exit(str(error))

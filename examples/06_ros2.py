@@ -23,11 +23,13 @@ if len(sys.argv) < 2:
     sys.exit(__doc__)
 name = sys.argv[1]
 router = sys.argv[2] if len(sys.argv) > 2 else "tcp/localhost:7447"
-where = sys.argv[3:] or pose_endpoints()
-with suppress(KeyboardInterrupt):
-    # Waits for the router, so it comes first: a client would meanwhile collect poses, which are then old.
-    node = Node(open_ros_session(Ros2Config(connect=router)), "pick_target", domain=0, style="rmw_zenoh")
-    with PoseClient(where, object=name) as client:
-        for pose in client:
-            if pose.state == "TRACKING":
-                node.publish("/pick/target", POSE, cdr(pose_stamped(pose)))
+try:
+    with suppress(KeyboardInterrupt):
+        # Waits for the router, so it comes first: a client would meanwhile collect poses, which are then old.
+        node = Node(open_ros_session(Ros2Config(connect=router)), "pick_target", domain=0, style="rmw_zenoh")
+        with PoseClient(sys.argv[3:] or pose_endpoints(), object=name) as client:
+            for pose in client:
+                if pose.state == "TRACKING":
+                    node.publish("/pick/target", POSE, cdr(pose_stamped(pose)))
+except ValueError as error:  # a wrong address, or several pipelines run here
+    sys.exit(str(error))

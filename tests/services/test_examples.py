@@ -29,7 +29,7 @@ from huepose_protos.messages import CameraMessage, Mount, ObjectEntry, ObjectsMe
 from huepose_protos.motion import PoseAt, pose_at
 from huepose_services.camera.python import open_source
 from huepose_services.cli.new import write_frame
-from huepose_services.runtime.config import Config, load
+from huepose_services.runtime.config import BusConfig, Config, load
 from huepose_services.runtime.running import described, noted
 from tests.services.conftest import heeds_ctrl_c, until
 from tests.services.repeating import repeating
@@ -192,6 +192,24 @@ def test_a_pipeline_that_is_being_started_is_distinguished_from_none(
         lines = first_words(example("02_live_subscriber.py"), example("03_pick_when_still.py", "tea_box"))
     said = f"waiting for a pipeline: local/cam0, from {tmp_path / 'pipeline.yaml'}, is being started"
     assert [said in line for line in lines] == [True, True], lines
+
+
+@pytest.mark.live
+@pytest.mark.parametrize(
+    "script", [["02_live_subscriber.py"], ["03_pick_when_still.py", "box"], ["06_ros2.py", "box", "tcp/a:1"]]
+)
+def test_a_wrong_address_and_a_choice_of_pipelines_are_one_sentence(
+    script: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
+    ports = (17447, 17547)
+    left, right = (described(Config(bus=BusConfig(base_port=n)), tmp_path / f"{n}.yaml") for n in ports)
+    for also, said in ([], "found 2 pipelines that run here"), (["tcp/foo:bar"], "found 'tcp/foo:bar'"):
+        with noted(left), noted(right):
+            done = subprocess.run(example(*script, *also), capture_output=True, text=True, timeout=60.0)
+        assert done.returncode == 1
+        assert said in done.stderr
+        assert done.stderr.count("\n") == 1, done.stderr
 
 
 @pytest.mark.live

@@ -227,6 +227,7 @@ def test_a_worker_that_was_given_up_is_not_reported_to_read_the_file_again(tmp_p
     supervisor._records["camera"].restart_at = time.monotonic() + 60.0
     ended(supervisor, "tracker", -signal.SIGKILL)
     assert "given up" in out.getvalue()
+    assert "Mend what it said last, then start the pipeline again" in out.getvalue()
     supervisor.reload()
     assert "all workers but tracker, given up, read the configuration again" in out.getvalue()
 

@@ -356,7 +356,10 @@ class Supervisor:
         while now - record.deaths[0] > window:
             record.deaths.popleft()
         if len(record.deaths) > limit:
-            self._log.error(f"{worker} {how}: given up after {limit} restarts in {window:g} s")
+            self._log.error(
+                f"{worker} {how}: given up after {limit} restarts in {window:g} s. Mend what it said last, "
+                "then start the pipeline again"
+            )
             return
         wait_s = min(_BACKOFF_S * 2 ** (len(record.deaths) - 1), _BACKOFF_MAX_S)
         record.restart_at = now + wait_s

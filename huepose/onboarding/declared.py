@@ -26,7 +26,7 @@ def read_symmetries(path: Path | str) -> dict[str, Any]:
     Raises InputError for a missing or broken file, and for symmetries that are not transforms or axes.
     """
     path = Path(path)
-    tree = files.read_json(path)
+    tree = files.read_json(path, fix="Give an axis of the mesh, x, y or z, or such a file.")
     if not any(n in tree for n in _NAMES):
         raise InputError(path, found="neither of the two lists", expected=_FORM)
     entry = {n: tree.get(n, []) for n in _NAMES}

@@ -269,6 +269,7 @@ def test_ctrl_c_while_the_processes_start_ends_them_all(tmp_path: Path) -> None:
         (["--name", "Red Brick"], "object name 'Red Brick'"),
         (["--name", "brick", "--unit", "mm"], "Did you mean --unit m or --unit ft?"),
         (["--name", "brick", "--symmetric", "nowhere.json"], "nowhere.json: found no such file"),
+        (["--name", "brick", "--symmetric", "q"], "Give an axis of the mesh, x, y or z, or such a file."),
     ],
 )
 def test_wrong_input_ends_with_2_and_a_fix(

@@ -152,8 +152,8 @@ def read_frame(
     and the time of this number at 30 Hz. Raises InputError, naming the file and what to do."""
     color_path, depth_path = Path(color), Path(depth)
     number = _number(color_path)
-    intrinsics = read_camera(camera, number)
     image = files.read_color(color_path)
+    intrinsics = read_camera(camera, number)
     if depth_path.suffix == ".float":
         depth_m = files.read_float_depth(depth_path)
     elif intrinsics.depth_scale_m is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import cv2
@@ -111,6 +112,13 @@ def test_the_error_names_the_wrong_key_of_a_camera_file(files, form: dict, named
     camera.write_text(json.dumps(form))
     with pytest.raises(InputError, match=named):
         read_frame(color, depth, camera)
+
+
+def test_a_wrong_colour_image_is_named_before_its_entry_in_a_camera_file(files) -> None:
+    color, depth, camera = files
+    camera.write_text(json.dumps({"4": {"cam_K": MATRIX["cam_K"], "depth_scale": 1.0}}))
+    with pytest.raises(InputError, match=f"^{re.escape(str(color.parent))}: "):
+        read_frame(color.parent, depth, camera)
 
 
 def test_the_error_for_a_ros_camera_file_lists_the_supported_forms(tmp_path: Path) -> None:

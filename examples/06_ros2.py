@@ -24,12 +24,12 @@ if len(sys.argv) < 2:
 name = sys.argv[1]
 router = sys.argv[2] if len(sys.argv) > 2 else "tcp/localhost:7447"
 try:
-    with suppress(KeyboardInterrupt):
-        # Waits for the router, so it comes first: a client would meanwhile collect poses, which are then old.
+    with suppress(KeyboardInterrupt), PoseClient(sys.argv[3:] or pose_endpoints(), object=name) as client:
         node = Node(open_ros_session(Ros2Config(connect=router)), "pick_target", domain=0, style="rmw_zenoh")
-        with PoseClient(sys.argv[3:] or pose_endpoints(), object=name) as client:
-            for pose in client:
-                if pose.state == "TRACKING":
-                    node.publish("/pick/target", POSE, cdr(pose_stamped(pose)))
+        while client.next(0.0) is not None:
+            pass  # It is old: the router may have been waited for.
+        for pose in client:
+            if pose.state == "TRACKING":
+                node.publish("/pick/target", POSE, cdr(pose_stamped(pose)))
 except ValueError as error:  # a wrong address, or several pipelines run here
     sys.exit(str(error))

@@ -5,6 +5,7 @@ With an object at rest such a camera shows no fault, and the pose is right.
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 
 import msgspec
@@ -21,7 +22,7 @@ LOOKS = 60
 
 LOOK_EVERY_NS, BLOCK_NS = SECOND // 20, SECOND // 6
 """The least time from one look to the next; and the length of a block: looks at one object within a block
-have correlated errors."""
+have correlated errors. So have looks at one image that comes again and again."""
 
 REST, REST_NS = 0.3, SECOND
 """An object is at rest if it has moved by less than REST of its diameter a second, for REST_NS."""
@@ -36,6 +37,7 @@ WAY_OUT = (
 class DelayDoubt(msgspec.Struct, array_like=True):
     """The looks in the newest camera epoch, and what follows from them. looks, blocks: as for `delay`;
     looked_ns, moved_ns: when each instance ("object/number") was last looked at, and when it last moved;
+    images: of each look, a checksum; time: number of the newest look's block;
     found: the delay and its standard error, seconds, and the share of looks that agree; None if the camera
     seems right."""
 
@@ -45,6 +47,8 @@ class DelayDoubt(msgspec.Struct, array_like=True):
     looked_ns: dict[str, int] = {}
     moved_ns: dict[str, int] = {}
     found: tuple[float, float, float] | None = None
+    images: list[int] = []
+    time: int = -1
 
     @property
     def text(self) -> str:
@@ -57,7 +61,7 @@ class DelayDoubt(msgspec.Struct, array_like=True):
         the camera and what to do; None if nothing is."""
         if frame.epoch != self.epoch:
             self.epoch, self.found = frame.epoch, None
-            self.looks, self.blocks, self.looked_ns, self.moved_ns = [], [], {}, {}
+            self.looks, self.blocks, self.looked_ns, self.moved_ns, self.images = [], [], {}, {}, []
         now, moving = frame.stamp_ns, {_key(pose): pose for pose in poses if _moves(pose, tracker)}
         here = set(map(_key, poses))
         self.looked_ns = {key: at_ns for key, at_ns in self.looked_ns.items() if key in here}
@@ -75,12 +79,15 @@ class DelayDoubt(msgspec.Struct, array_like=True):
         assert pose.velocity is not None
         one = edge_lag(tracker.contours(pose.object), pose.T_cam_obj, pose.velocity, frame)
         if one is not None:
-            self._add(one, _key(pose), str(frame.stamp_ns // BLOCK_NS))
+            self._add(one, _key(pose), frame)
 
-    def _add(self, one: EdgeLag, key: str, time: str) -> None:
+    def _add(self, one: EdgeLag, key: str, frame: RgbdFrame) -> None:
         """Keep a look; fit the delay again when a new block begins."""
-        begun = not self.blocks or self.blocks[-1].rpartition(" ")[2] != time
-        self.looks, self.blocks = [*self.looks, one][-LOOKS:], [*self.blocks, f"{key} {time}"][-LOOKS:]
+        begun, self.time = frame.stamp_ns // BLOCK_NS != self.time, frame.stamp_ns // BLOCK_NS
+        image = zlib.crc32(frame.color[::4, ::4].tobytes())
+        block = dict(zip(self.images, self.blocks, strict=True)).get(image, f"{key} {self.time}")
+        self.looks, self.images = [*self.looks, one][-LOOKS:], [*self.images, image][-LOOKS:]
+        self.blocks = [*self.blocks, block][-LOOKS:]
         fit = delay(self.looks, self.blocks) if begun else None
         if fit is not None and fit.clear:
             self.found = (fit.seconds, fit.error_s, fit.share)

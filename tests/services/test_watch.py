@@ -44,6 +44,8 @@ class Watched:
         reader.live = {f"huepose/lab/cam0/live/{worker}" for worker in there}
         reader.waiting = list(messages)
         self.watch.look(0.01)
+        while reader.waiting:  # on a busy machine the time may be over after one message
+            self.watch.look(0.01)
         said = self.watch.view().health.get("camera")
         return None if said is None else (said.pid, said.state)
 

@@ -2,7 +2,9 @@
 
 import json
 import os
+import re
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import msgspec
@@ -179,3 +181,25 @@ def test_a_client_of_a_named_camera_waits_for_it_and_gets_no_other_poses(monkeyp
 
 def at(port):
     return peer([], listen=[endpoint(port)])
+
+
+def test_the_page_reads_poses_of_two_cameras_in_the_frame_of_the_robot(monkeypatch, capsys):
+    """Each pose with the mount of its own camera. A lost object, or a camera whose mount is not known yet,
+    does not end the program."""
+    page = (Path(__file__).parents[2] / "docs" / "cameras.md").read_text()
+    (code,) = (one for one in re.findall(r"^```python\n(.*?)^```", page, re.M | re.S) if "PoseClient" in one)
+    with PoseClient(NOBODY) as both:
+        both._on_sample(pose("left", 1, SECOND, 0.1, frame="left_color_optical"))
+        both._on_sample(camera("left", 1, 1.0))
+        both._on_sample(camera("right", 2, 9.0))
+        lost = {"state": "LOST", "translation": None, "quaternion": None}
+        both._on_sample(pose("right", 2, 2 * SECOND, frame="right_color_optical", **lost))
+        both._on_sample(pose("right", 2, 3 * SECOND, 0.2, frame="right_color_optical"))
+        both._on_sample(pose("unknown", 3, 4 * SECOND, frame="other_color_optical"))
+        both.close()
+        monkeypatch.setattr("huepose_protos.PoseClient", lambda gateways: both)
+        exec(compile(code, "cameras.md", "exec"), {"PoseClient": lambda gateways: both})
+    assert capsys.readouterr().out.splitlines() == [
+        "left_color_optical mug (1.1, 0.0, 0.5)",
+        "right_color_optical mug (9.2, 0.0, 0.5)",
+    ]

@@ -335,7 +335,7 @@ class HealthMessage(Message, frozen=True, kw_only=True):
 
 
 class TruthMessage(Message, frozen=True, kw_only=True):
-    """Ground truth of one frame. Only the demo's score and the detector named `truth` read it."""
+    """Ground truth of one frame, for scores: no worker that finds or tracks objects reads it."""
 
     camera_epoch: Epoch
     frame_id: Count

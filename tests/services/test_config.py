@@ -1,6 +1,7 @@
 """pipeline.yaml: an error names the path, the value and what is allowed."""
 
 import json
+import re
 import shutil
 import socket
 import time
@@ -282,6 +283,17 @@ def test_the_default_file_shows_every_key_with_its_default():
     camera = msgspec.structs.replace(default.camera, truth=True)
     link = msgspec.structs.replace(default.link, secure=str(path.parent / "secure"))
     assert config == msgspec.structs.replace(default, camera=camera, link=link)
+
+
+PAGES = sorted((Path(__file__).parents[2] / "docs").glob("*.md"))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_what_the_pages_show_of_the_file_is_accepted(page, tmp_path):
+    """A block that names objects as it is; the others are parts of a file with reference models."""
+    for block in re.findall(r"^```yaml\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL):
+        whole = "objects:" in block or "bundles:" in block
+        parse_all(block if whole else f"{block}\nbundles: bundles\n", tmp_path / "pipeline.yaml")
 
 
 BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n" + "".join(

@@ -1,4 +1,4 @@
-"""How `huepose up` stops the workers of several cameras."""
+"""How `huepose up` stops the workers of several cameras, and what it says of a new one."""
 
 import argparse
 import json
@@ -26,3 +26,28 @@ def test_the_workers_of_all_cameras_are_stopped_at_the_same_time(tmp_path, monke
     path = tmp_path / "pipeline.yaml"
     path.write_text(json.dumps({"cameras": [{"name": name} for name in ("left", "right", "top")]}))
     assert up.call(argparse.Namespace(config=path, host=None)) == 0
+
+
+def test_a_camera_that_is_added_to_the_file_is_reported_as_waiting(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "pipeline.yaml"
+
+    def write(*names):
+        path.write_text(json.dumps({"cameras": [{"name": name} for name in names]}))
+
+    class Ended(supervisor.Supervisor):
+        def start(self):
+            write("left", "right", "top")
+
+        def poll(self, timeout_s=0.1):
+            self.exit_code = 0
+
+    monkeypatch.setattr(supervisor, "Supervisor", Ended)
+    monkeypatch.setattr(prepare, "prepare", lambda config: None)
+    monkeypatch.setattr(reload, "asked_again", lambda: lambda: True)
+    monkeypatch.setattr(up, "catch_stop_signals", lambda: lambda: False)
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path / "run"))
+    write("left", "right")
+    assert up.call(argparse.Namespace(config=path, host=None)) == 0
+    said = capsys.readouterr().err
+    assert "cameras that wait for the next start: top" in said
+    assert said.count("wait for the next start") == 1

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import argparse
 from contextlib import ExitStack
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from huepose.support.errors import InputError
+from huepose.support.words import listed
 from huepose_services.cli.options import add_host, add_pipeline, catch_stop_signals, say
 
 if TYPE_CHECKING:
+    from huepose_services.runtime.config import Config
     from huepose_services.runtime.supervisor import Supervisor
 
 BAD_INPUT = 2
@@ -58,6 +62,8 @@ def call(arguments: argparse.Namespace) -> int:
                     supervisor.poll(_POLL_S / len(supervisors))
                     if asked:
                         supervisor.reload()
+                if asked:
+                    _report_new_cameras(arguments.config, configs)
                 if not notified and all(supervisor.ready for supervisor in supervisors):
                     notified = True
                     notify("READY=1")
@@ -69,6 +75,21 @@ def call(arguments: argparse.Namespace) -> int:
     if stopping():
         say("stopped")
     return max(supervisor.exit_code or 0 for supervisor in supervisors)
+
+
+def _report_new_cameras(path: Path, configs: list[Config]) -> None:
+    """Log which cameras of the file, which was read again, run only after the next start. configs: those
+    that run; their supervisors report all else that waits."""
+    from huepose_services.runtime.config import load_all
+    from huepose_services.runtime.log import Log
+
+    try:
+        now = [config.camera.name for config in load_all(path)]
+    except InputError:  # the supervisors have reported it
+        return
+    new = sorted(set(now) - {config.camera.name for config in configs})
+    if new and len(now) > 1:
+        Log("huepose").warn(f"cameras that wait for the next start: {listed(new)}")
 
 
 def _go_on(supervisors: list[Supervisor]) -> bool:

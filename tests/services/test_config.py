@@ -20,7 +20,7 @@ from huepose_protos.messages import FrameHeader
 from huepose_services.cli.main import main
 from huepose_services.cli.validate import _unread
 from huepose_services.runtime.config import WORKERS, Config, Section, load, load_all, parse_all
-from huepose_services.runtime.config_perception import DetectorConfig
+from huepose_services.runtime.config_perception import CameraConfig, DetectorConfig, DeviceConfig
 from tests.services.conftest import parse
 
 GOOD = "camera: {truth: true}\n"
@@ -463,6 +463,18 @@ def test_threads_of_the_search_are_noted_if_the_detector_is_a_network():
     config = Config(detector=DetectorConfig(kind="yolo", threads=4))
     assert "detector.threads is set, but detector.kind is yolo; it is for views" in _unread(config)
     assert not any("threads" in said for said in _unread(Config(detector=DetectorConfig(threads=4))))
+
+
+def test_settings_that_the_camera_does_not_read_are_noted():
+    camera = CameraConfig(source="python", path="camera.py", once=True, first_frame_s=2.0)
+    said = "camera.first_frame_s is set, but camera.source is python; it is for recordings"
+    assert _unread(Config(camera=camera)) == [said]
+    recording = msgspec.structs.replace(camera, source="bop", path="desk")
+    assert _unread(Config(camera=recording)) == []
+    device = DeviceConfig(align=False)
+    said = "camera.device.align is set, but camera.source is oak; it is for realsense"
+    assert _unread(Config(camera=CameraConfig(source="oak", device=device))) == [said]
+    assert _unread(Config(camera=CameraConfig(source="realsense", device=device))) == []
 
 
 def test_keys_that_are_read_give_no_note(validated):

@@ -173,6 +173,12 @@ def _unread(config: Config) -> list[str]:
         groups.append(("camera", camera, ("seed",), why))
     if not camera.once:
         groups.append(("camera", camera, ("first_frame_s",), "camera.once is false"))
+    elif camera.source == "python":
+        why = "camera.source is python; it is for recordings"
+        groups.append(("camera", camera, ("first_frame_s",), why))
+    if camera.source == "oak":
+        why = "camera.source is oak; it is for realsense"
+        groups.append(("camera.device", camera.device, ("align",), why))
     return [
         f"{name}.{key} is set, but {why}"
         for name, section, keys, why in groups

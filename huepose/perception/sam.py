@@ -14,6 +14,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, UInt8
 from huepose.geometry.box import Box
+from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.perception.sessions import Network, Tensor
 
@@ -57,13 +58,15 @@ class SamSegmenter:
             }
         )
         best = int(outputs["iou_predictions"].reshape(-1).argmax())
-        return [mask_of(outputs["low_res_masks"].reshape(-1, _LOW, _LOW)[best], (height, width))]
+        masks = outputs["low_res_masks"].reshape(-1, _LOW, _LOW).astype(np.float32, copy=False)
+        return [mask_of(masks[best], (height, width))]
 
     def warm_up(self) -> None:
-        """Run both networks once."""
-        self._encoder.warm_up()
-        free = {size for tensor in self._decoder.inputs for size in tensor.shape if isinstance(size, str)}
-        self._decoder.warm_up(dict.fromkeys(free, 2))
+        """Run both networks once. Raises InputError if they cannot be run one after the other."""
+        image, depth = np.zeros((_LOW, _LOW, 3), np.uint8), np.zeros((_LOW, _LOW), np.float32)
+        frame = RgbdFrame(image, depth, Camera(_LOW, _LOW, _LOW / 2, _LOW / 2, _LOW, _LOW))
+        self.segment(frame, Box(0, 0, _LOW, _LOW), 0.1)
+        self._frame = self._embedding = None
 
 
 def tensor_of(color: UInt8) -> Float32:

@@ -11,7 +11,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -93,33 +93,38 @@ class Network:
             self._binding.bind_output(tensor.name)
 
     def run(self, feeds: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """The outputs by name. Raises InputError if the name or shape of an input is not the network's."""
+        """The outputs by name; inputs are converted to the network's precision. Raises InputError if the name
+        or shape of an input is not the network's, or if the network cannot be run with it."""
         if feeds.keys() != {tensor.name for tensor in self.inputs}:
             raise InputError(
                 f"{self.path}: inputs", found=", ".join(feeds), expected=self.described(self.inputs)
             )
-        if self._binding is None:
-            values = self._session.run(None, dict(feeds))
-        else:
-            for name, buffer in self._buffers.items():
-                if feeds[name].shape != buffer.shape:
-                    found = " x ".join(map(str, feeds[name].shape))
-                    raise InputError(f"{self.path}: {name}", found=found, expected=f"{buffer.shape}")
-                np.copyto(buffer, feeds[name], casting="same_kind")
-            self._session.run_with_iobinding(self._binding)
-            values = self._binding.copy_outputs_to_cpu()
+        for name, buffer in self._buffers.items():
+            if feeds[name].shape != buffer.shape:
+                found = " x ".join(map(str, feeds[name].shape))
+                raise InputError(f"{self.path}: {name}", found=found, expected=f"{buffer.shape}")
+        try:
+            values = self._answer(feeds)
+        except Exception as error:  # ONNX Runtime raises a dozen kinds, which have no base class of their own
+            given = ", ".join(f"{name} {' x '.join(map(str, feed.shape))}" for name, feed in feeds.items())
+            raise InputError(
+                self.path,
+                found=" ".join(str(error).split())[:300],
+                expected=f"a network that can be run with {given}",
+                fix="" if self._buffers else "Export it again, with inputs of these sizes.",
+            ) from None
         return {tensor.name: value for tensor, value in zip(self.outputs, values, strict=True)}
 
-    def warm_up(self, sizes: Mapping[str, int] | None = None) -> None:
-        """Run it once on zeros; `sizes` gives the free sizes, by name."""
-        shapes = {
-            tensor.name: [
-                size if isinstance(size, int) else (sizes or {}).get(size, 1) for size in tensor.shape
-            ]
-            for tensor in self.inputs
-        }
-        kinds = {tensor.name: _TYPES[tensor.kind] for tensor in self.inputs}
-        self.run({name: np.zeros(shape, kinds[name]) for name, shape in shapes.items()})
+    def _answer(self, feeds: Mapping[str, np.ndarray]) -> Sequence[np.ndarray]:
+        """The outputs in their order."""
+        if self._binding is None:
+            kinds = {tensor.name: _TYPES.get(tensor.kind) for tensor in self.inputs}
+            given = {name: np.asarray(feed, kinds[name]) for name, feed in feeds.items()}
+            return cast("Sequence[np.ndarray]", self._session.run(None, given))
+        for name, buffer in self._buffers.items():
+            np.copyto(buffer, feeds[name], casting="same_kind")
+        self._session.run_with_iobinding(self._binding)
+        return cast("Sequence[np.ndarray]", self._binding.copy_outputs_to_cpu())
 
     @staticmethod
     def described(tensors: Sequence[Tensor]) -> str:

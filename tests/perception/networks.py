@@ -42,14 +42,35 @@ def identity(path, shape):
     )
 
 
-def sam_encoder(path):
-    """The embedding's first channels are the image's colours, averaged over 16 x 16 pixels; the rest 0."""
+def in_half_precision(source, path):
+    """The same network, all its floats in half precision."""
+    model = onnx.load(str(source))
+    for value in (*model.graph.input, *model.graph.output):
+        value.type.tensor_type.elem_type = TensorProto.FLOAT16
+    for tensor in model.graph.initializer:
+        array = numpy_helper.to_array(tensor)
+        if array.dtype == np.float32:
+            tensor.CopyFrom(numpy_helper.from_array(array.astype(np.float16), tensor.name))
+    for attribute in (a for node in model.graph.node for a in node.attribute if a.name == "to"):
+        attribute.i = TensorProto.FLOAT16
+    onnx.checker.check_model(model)
+    onnx.save(model, str(path))
+    return path
+
+
+def sam_encoder(path, size=(1024, 1024)):
+    """The embedding's first channels are the image's colours, averaged over 16 x 16 pixels; the rest 0. It
+    works at 1024 x 1024 only; size: as the file states it."""
     nodes = [
         helper.make_node("AveragePool", ["image"], ["pooled"], kernel_shape=[16, 16], strides=[16, 16]),
-        helper.make_node("Pad", ["pooled", "pads"], ["image_embeddings"]),
+        helper.make_node("Reshape", ["pooled", "cells"], ["inner"]),
+        helper.make_node("Pad", ["inner", "pads"], ["image_embeddings"]),
     ]
-    constants = {"pads": np.array([0, 0, 0, 0, 0, 253, 0, 0], np.int64)}
-    return save(path, nodes, {"image": (1, 3, 1024, 1024)}, {"image_embeddings": (1, 256, 64, 64)}, constants)
+    constants = {
+        "cells": np.array([1, 3, 64, 64], np.int64),
+        "pads": np.array([0, 0, 0, 0, 0, 253, 0, 0], np.int64),
+    }
+    return save(path, nodes, {"image": (1, 3, *size)}, {"image_embeddings": (1, 256, 64, 64)}, constants)
 
 
 def sam_decoder(path, ious=(0.3, 0.9, 0.5)):

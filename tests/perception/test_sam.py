@@ -108,6 +108,24 @@ def test_the_embedding_is_that_of_the_image(files):
     assert embedding[0, 0, 40, 3] == 0.0
 
 
+@pytest.mark.parametrize("half", ["encoder", "decoder", "both"])
+def test_networks_of_different_precision_work_together(tmp_path, files, half):
+    paths = dict(zip(("encoder", "decoder"), files, strict=True))
+    for name in paths if half == "both" else (half,):
+        paths[name] = networks.in_half_precision(paths[name], tmp_path / f"{name}.onnx")
+    segmenter = SamSegmenter(*map(open_network, paths.values()))
+    (mask,) = segmenter.segment(_frame(640, 480), Box(100, 60, 80, 120), 0.1)
+    assert Box.of_mask(mask).iou(Box(100, 60, 80, 120)) > 0.97
+
+
+def test_an_encoder_of_free_size_is_run_at_the_size_that_it_gets(tmp_path, files):
+    encoder = networks.sam_encoder(tmp_path / "free.onnx", ("height", "width"))
+    segmenter = SamSegmenter(open_network(encoder), open_network(files[1]))
+    segmenter.warm_up()
+    (mask,) = segmenter.segment(_frame(640, 480), Box(100, 60, 80, 120), 0.1)
+    assert Box.of_mask(mask).iou(Box(100, 60, 80, 120)) > 0.97
+
+
 def test_other_networks_are_refused_with_what_they_have(tmp_path, files):
     wrong = open_network(networks.identity(tmp_path / "other.onnx", (1, 3, 64, 64)))
     right = [open_network(path) for path in files]

@@ -30,7 +30,6 @@ def test_the_chosen_provider_and_the_inputs_are_named(fixed):
 @pytest.mark.parametrize("kind", ["fixed", "free"])
 def test_each_run_gives_its_own_answer(kind, request):
     network = open_network(request.getfixturevalue(kind))
-    network.warm_up({"height": 4, "width": 4})
     rng = np.random.default_rng(0)
     feeds = [rng.random((1, 3, 4, 4), dtype=np.float32) for _ in range(3)]
     answers = [network.run({"images": feed})["output"] for feed in feeds]
@@ -45,6 +44,14 @@ def test_a_wrong_size_or_name_is_an_error_and_not_a_broadcast(fixed):
         network.run({"images": np.zeros((1, 3, 1, 1), np.float32)})
     with pytest.raises(InputError, match="expected images float 1 x 3 x 4 x 4"):
         network.run({"image": np.zeros((1, 3, 4, 4), np.float32)})
+
+
+def test_a_network_that_cannot_be_run_is_an_error_that_names_the_file(tmp_path):
+    """As an export with free sizes that works at the size of the export only."""
+    path = networks.sam_encoder(tmp_path / "free.onnx", ("height", "width"))
+    network = open_network(path)
+    with pytest.raises(InputError, match=r"free.onnx: found .*Reshape.*can be run with image 1 x 3 x 640 x"):
+        network.run({"image": np.zeros((1, 3, 640, 640), np.float32)})
 
 
 def test_the_digest_is_checked_before_anything_else(fixed):

@@ -84,6 +84,7 @@ class YoloDetector:
     ) -> dict[str, frozenset[int]]:
         """The classes of each object as numbers."""
         names = class_names(self._network, count)
+        count = len(names) or None if count is None else count
         numbers: dict[str, frozenset[int]] = {}
         for name, given in classes.items():
             for one in given:

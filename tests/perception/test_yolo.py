@@ -124,8 +124,10 @@ def test_classes_by_name_come_from_the_file(tmp_path, names):
     assert [d.score for d in detector.detect(_frame(), ["soup"])] == pytest.approx([0.7])
     with pytest.raises(InputError, match=r"class 'cup' of mug: found 3 classes \(box, tin can, mug\)"):
         YoloDetector(network, {"mug": ["cup"]})
-    with pytest.raises(InputError, match="class '3' of mug"):
-        YoloDetector(network, {"mug": [3]})
+    for layout in ("v8", "end2end"):
+        network = _network(tmp_path, OUTPUTS[layout](), metadata={"names": names})
+        with pytest.raises(InputError, match=r"class '3' of mug: found 3 classes \(box, tin can, mug\)"):
+            YoloDetector(network, {"mug": [3]})
 
 
 @pytest.mark.parametrize(

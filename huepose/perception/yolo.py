@@ -120,13 +120,17 @@ class YoloDetector:
         else:
             kept = suppress_overlaps(corners, found.scores, found.classes, self._overlap)
         height, width = frame.color.shape[:2]
-        detections = []
+        detections: list[Detection] = []
+        given: list[tuple[str, int, Box]] = []
         for i in kept:
             x0, y0, x1, y1 = corners[i].tolist()
-            box = Box(x0, y0, x1 - x0, y1 - y0).clipped(width, height)
+            box, number = Box(x0, y0, x1 - x0, y1 - y0).clipped(width, height), int(found.classes[i])
             if box.w >= 1.0 and box.h >= 1.0:
-                mine = (n for n in names if int(found.classes[i]) in self._classes.get(n, ()))
-                detections += [Detection(name, box, float(found.scores[i])) for name in mine]
+                for name in (n for n in names if number in self._classes.get(n, ())):
+                    # Two classes of one object at one place are one instance.
+                    if not any(n == name and c != number and box.iou(b) > self._overlap for n, c, b in given):
+                        given.append((name, number, box))
+                        detections.append(Detection(name, box, float(found.scores[i])))
         return detections
 
     @property

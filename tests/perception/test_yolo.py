@@ -99,6 +99,13 @@ def test_only_what_is_asked_for_and_sure_enough_is_given(tmp_path):
     assert [d.object for d in detector.detect(_frame(), ["any", "mug"])] == ["any", "mug"]
 
 
+@pytest.mark.parametrize("layout", OUTPUTS)
+def test_two_classes_of_one_object_at_one_place_are_one_instance(tmp_path, layout):
+    detector = YoloDetector(_network(tmp_path, OUTPUTS[layout]()), {"mug": [1, 2], "can": [1]}, layout=layout)
+    found = detector.detect(_frame(), ["mug", "can"])
+    assert [(d.object, round(d.score, 2)) for d in found] == [("mug", 0.8), ("can", 0.7)]
+
+
 @pytest.mark.parametrize("layout", ["v8", "v5", "end2end"])
 def test_boxes_in_shares_of_the_image_are_refused(tmp_path, layout):
     """They would be boxes of one pixel in the corner, and nothing would ever be found."""

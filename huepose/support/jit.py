@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -62,23 +63,28 @@ def _compiled(function: F, more: dict[str, Any]) -> F:
         return cast(F, numba.njit(**options)(function))
     if not numba.config.DISABLE_JIT:  # otherwise `kernel` is the plain function
         kernel._cache._cache_file._source_stamp = kernel_sources()
-        _ignore_outdated(kernel._cache)
+        _ignore_failures(kernel._cache)
     return cast(F, kernel)
 
 
-def _ignore_outdated(kept: Any) -> None:
-    """Compile again if a cache names modules or classes that no longer exist: an older version of the
-    package wrote it."""
-    load = kept.load_overload
+def _ignore_failures(kept: Any) -> None:
+    """Compile again if a cache cannot be read: an older version of the package wrote it, or a power cut left
+    it incomplete. If it cannot be written, as on a full disk, go on without it."""
 
-    def load_overload(*arguments: Any) -> Any:
-        try:
-            return load(*arguments)
-        except (ImportError, AttributeError):
-            kept._cache_file.flush()
-            return None
+    def or_emptied(use: Callable[..., Any]) -> Callable[..., Any]:
+        def used(*arguments: Any) -> Any:
+            try:
+                return use(*arguments)
+            except Exception:  # damaged data raise any kind
+                # Without the index no data are read: after a failed write they may be those of older sources.
+                with suppress(OSError):
+                    Path(kept._cache_file._index_path).unlink()
+                return None
 
-    kept.load_overload = load_overload
+        return used
+
+    kept.load_overload = or_emptied(kept.load_overload)
+    kept.save_overload = or_emptied(kept.save_overload)
 
 
 @cache

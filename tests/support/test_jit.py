@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.metadata
 import importlib.util
+import os
 import pickle
 from pathlib import Path
 from typing import Any
 
 import pytest
+from numba.core.caching import IndexDataCacheFile
 
 from huepose.support import jit
 
@@ -52,6 +55,40 @@ def test_a_cache_that_names_a_missing_class_is_made_again(tmp_path: Path) -> Non
     version = pickle.dumps(importlib.metadata.version("numba"))
     foreign = b"\x80\x04\x8c\x0bno.such.one\x8c\x05Thing\x93."  # a class of a module that is not there
     index.write_bytes(version + foreign)
+    assert not compiled(path).cache_hits
+    assert sum(compiled(path).cache_hits.values()) == 1
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_file_that_a_power_cut_left_incomplete_is_made_again(
+    tmp_path: Path, ending: str, share: float
+) -> None:
+    path = tmp_path / "kernels.py"
+    path.write_text(KERNEL)
+    compiled(path)
+    (file,) = (tmp_path / "__pycache__").glob(f"*.{ending}")
+    os.truncate(file, int(share * file.stat().st_size))
+    assert not compiled(path).cache_hits
+    assert sum(compiled(path).cache_hits.values()) == 1
+
+
+def test_on_a_full_disk_a_kernel_works_and_code_of_older_sources_is_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "kernels.py"
+    path.write_text(KERNEL.replace("2.0 * x", "x + 1.0"))
+    with pytest.raises(AssertionError):
+        compiled(path)
+
+    def full(kept: Any, name: str, data: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    path.write_text(KERNEL)
+    monkeypatch.setattr(jit, "kernel_sources", lambda: "of the new sources")
+    with monkeypatch.context() as patch:
+        patch.setattr(IndexDataCacheFile, "_save_data", full)
+        assert not compiled(path).cache_hits
     assert not compiled(path).cache_hits
     assert sum(compiled(path).cache_hits.values()) == 1
 

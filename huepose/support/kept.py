@@ -64,7 +64,7 @@ def kept(kind: type[T], digest: str | None, make: Callable[[], T]) -> T:
         with _locked(path):
             if _mapped(path) is None:
                 _write(path, make())
-                _tidy(home)
+                _tidy(path.parent)
         found = _mapped(path)
     except OSError:
         found = None
@@ -154,11 +154,14 @@ def _locked(path: Path) -> Iterator[None]:
         yield
 
 
-def _tidy(home: Path) -> None:
-    """Remove a file's data of older versions of the code, except those of the VERSIONS last used, and the
-    data of files that are not used any more. A process that has them mapped keeps them."""
-    by_use = sorted(home.iterdir(), key=lambda one: one.stat().st_mtime, reverse=True)
-    for folder in (*by_use[VERSIONS:], *unused(home.parent.iterdir(), UNUSED_DAYS)):
+def _tidy(mine: Path) -> None:
+    """Remove a file's data of older versions of the code, except the VERSIONS last used, and the data of
+    files that are not used any more. mine: the data of the running version, which stay even if the clock was
+    set back. A process that has them mapped keeps them."""
+    home = mine.parent
+    others = (one for one in home.iterdir() if one != mine)
+    by_use = sorted(others, key=lambda one: one.stat().st_mtime, reverse=True)
+    for folder in (*by_use[VERSIONS - 1 :], *unused(home.parent.iterdir(), UNUSED_DAYS)):
         shutil.rmtree(folder, ignore_errors=True)
 
 

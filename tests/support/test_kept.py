@@ -135,6 +135,20 @@ def test_another_version_of_the_code_makes_it_again_and_only_the_newest_are_left
     assert sorted(p.name for p in (home / "tea").iterdir()) == ["version1", "version2"]
 
 
+def test_what_was_just_made_is_kept_although_the_clock_was_set_back(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make, ahead = Maker(), time.time() + 40 * 86400
+    for number in range(3):
+        monkeypatch.setattr(module, "code_version", lambda n=number: f"version{n}")
+        kept(Outer, "tea", make)
+        if number < 2:
+            os.utime(home / "tea" / f"version{number}", (ahead, ahead + number))
+    kept(Outer, "tea", make)
+    assert make.calls == 3
+    assert sorted(p.name for p in (home / "tea").iterdir()) == ["version1", "version2"]
+
+
 def test_values_that_are_long_unused_are_removed(home: Path) -> None:
     kept(Outer, "soup", Maker())
     kept(Outer, "tea", Maker())

@@ -149,10 +149,25 @@ def add(file: Path, name: str) -> Entry:
         if file.resolve() != path.resolve():
             with whole(path) as part:
                 shutil.copyfile(file, part)
+                _check_it_is_whole(file, part)
     network = replace(known or _unknown(name), size_bytes=path.stat().st_size, sha256=digest(path))
     notes = {n: asdict(k) for n, k in _added(place).items()} | {name: asdict(network)}
     write_text(place / _NOTES, json.dumps(notes, indent=1))
     return Entry(network, path)
+
+
+def _check_it_is_whole(file: Path, copied: Path) -> None:
+    """Raises InputError if the copy of a network cannot be opened, because its weights are in other files
+    beside it."""
+    try:
+        open_network(copied, NetworkSettings(providers=("cpu",)))
+    except InputError:
+        raise InputError(
+            file,
+            found="a network whose weights are in another file beside it",
+            expected="one file with everything, so that its digest is that of the weights, too",
+            fix="Export it again with them inside: torch.onnx.export(..., external_data=False).",
+        ) from None
 
 
 def _writing(place: Path) -> AbstractContextManager[None]:

@@ -10,11 +10,12 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import numpy as np
+import onnx
 import onnxruntime as ort
 import pytest
 
 from huepose.perception.flow_network import NetworkFlow
-from huepose.perception.sessions import PROVIDERS
+from huepose.perception.sessions import PROVIDERS, open_network
 from huepose.support.errors import InputError
 from huepose_services import catalogue
 from huepose_services import networks as deployed
@@ -172,6 +173,17 @@ def test_a_file_that_is_no_network_is_not_added(tmp_path):
     file.write_text("hello")
     with pytest.raises(InputError, match="ONNX"):
         catalogue.add(file, "text")
+
+
+def test_a_network_with_its_weights_in_another_file_is_not_added(mine, tmp_path, folder):
+    split = tmp_path / "split.onnx"
+    onnx.save(
+        onnx.load(str(mine)), str(split), save_as_external_data=True, location="split.data", size_threshold=0
+    )
+    open_network(split)
+    with pytest.raises(InputError, match=r"split.onnx: found .* weights are in another file.*external_data="):
+        catalogue.add(split, "split")
+    assert list(folder.iterdir()) == []
 
 
 @pytest.mark.parametrize("words", [["add", "{mine}"], ["list"]])

@@ -15,7 +15,7 @@ from huepose.perception.yolo import YoloDetector, class_names
 from huepose.propose.flow import FlowSource
 from huepose.support.errors import InputError
 from huepose.support.files import cache_folder
-from huepose.support.words import listed
+from huepose.support.words import did_you_mean, listed
 from huepose_services.catalogue import entry_of
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import is_network_file
@@ -51,15 +51,34 @@ def opened(config: Config, named: str, *, half: bool = True) -> Network:
 
 
 def check(config: Config) -> None:
-    """Raises InputError if a network that a worker will open is missing, damaged, or of the wrong kind, or
-    if no allowed provider that could run it is installed.
+    """Raises InputError if a network that a worker will open is missing, damaged, or of the wrong kind, if a
+    digest is of no network, or if no allowed provider that could run it is installed.
 
     The networks are opened on the CPU here: building engines for a GPU takes minutes, and the worker does
     it."""
     for worker in config.network_workers:
         (yolo if worker == "detector" else sam)(on_processor(config))
     if config.network_workers:
+        _check_digests(config)
         providers_here(settings(config))
+
+
+def _check_digests(config: Config) -> None:
+    """Raises InputError if a digest has another name than the file of a network: it would not be compared."""
+    named = (config.detector.model, config.segmenter.encoder or SAM_ENCODER)
+    files = [
+        Path(one).name if is_network_file(one) else f"{one}.onnx"
+        for one in (*named, config.segmenter.decoder or SAM_DECODER)
+        if one is not None
+    ]
+    for name in config.networks.sha256:
+        if name not in files:
+            raise InputError(
+                "networks.sha256",
+                found=name,
+                expected=f"a file name without its folder: {', '.join(files)}",
+                fix=did_you_mean(Path(name).name, files),
+            )
 
 
 def on_processor(config: Config) -> Config:

@@ -223,6 +223,9 @@ def test_paths_are_relative_to_the_file_and_digests_by_file_name(mine, tmp_path)
     deployed.check(parse(text.format(mine.name, mine.name, right), tmp_path / "p.yaml"))
     with pytest.raises(InputError, match="expected " + "0" * 64):
         deployed.check(parse(text.format(mine.name, mine.name, "'" + "0" * 64 + "'"), tmp_path / "p.yaml"))
+    for name in (f"{tmp_path.name}/{mine.name}", str(mine), "Mine.v3.onnx"):  # none of them would be compared
+        with pytest.raises(InputError, match=rf"found {name}; expected .*Did you mean 'Mine.v2.onnx'"):
+            deployed.check(parse(text.format(mine, name, right), tmp_path / "p.yaml"))
 
 
 def test_a_provider_that_is_not_installed_is_refused_before_a_worker_needs_it(mine, tmp_path):

@@ -21,6 +21,7 @@ numbers. With one or two classes some shapes fit two layouts: then the layout ha
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -178,11 +179,14 @@ def _check_it_only_detects(network: Network, count: int | None) -> None:
 
 
 def _input_size(network: Network) -> tuple[int, int]:
-    """Height and width of the input; 640 if the file leaves them open."""
+    """Height and width of the input. If the file leaves them open: those of the training, as Ultralytics
+    notes them, else 640."""
     shape = network.inputs[0].shape if len(network.inputs) == 1 else ()
     if len(shape) != 4 or shape[1] != 3 or network.inputs[0].kind != "tensor(float)":
         raise network.refused("one input of float 1 x 3 x H x W")
-    height, width = (size if isinstance(size, int) else 640 for size in shape[2:])
+    noted = re.fullmatch(r"\[(\d+), (\d+)\]", network.metadata.get("imgsz", ""))
+    trained = (640, 640) if noted is None else tuple(map(int, noted.groups()))
+    height, width = (size if isinstance(size, int) else trained[k] for k, size in enumerate(shape[2:]))
     if height % 32 or width % 32:
         raise network.refused("an input whose sides are multiples of 32")
     return height, width

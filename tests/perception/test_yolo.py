@@ -209,6 +209,14 @@ def test_a_network_of_another_kind_is_refused(tmp_path):
         YoloDetector(open_network(path), {"mug": [0]})
 
 
+@pytest.mark.parametrize(("noted", "size"), [({"imgsz": "[64, 96]"}, (64, 96)), ({}, (640, 640))])
+def test_an_input_of_free_size_gets_that_of_the_training(tmp_path, noted, size):
+    output = np.zeros((1, 7, places(size)), np.float32)
+    path = networks.constant_output(tmp_path / "net.onnx", output, (1, 3, "height", "width"), noted)
+    detector = YoloDetector(open_network(path), {"mug": [2]})
+    assert (detector.layout, detector._input_size) == ("v8", size)
+
+
 def test_shapes_of_the_usual_sizes():
     assert (places((416, 416)), places((640, 640))) == (3549, 8400)
     assert layouts_of((1, 25200, 85), (640, 640)) == ("v5",)

@@ -401,3 +401,27 @@ sys.exit(main())
 def test_the_command_is_the_entry_that_catches_ctrl_c_in_imports() -> None:
     said = (Path(__file__).parents[2] / "pyproject.toml").read_text()
     assert f'huepose = "{entry.__name__}:main"' in said
+
+
+@pytest.mark.parametrize("closed", [1, 2])
+def test_a_command_works_if_who_started_it_closed_an_output(closed: int) -> None:
+    start = "import sys; from huepose_services.cli.entry import main; sys.exit(main())"
+    ran = subprocess.run(
+        ["sh", "-c", f'"$0" "$@" {closed}>&-', sys.executable, "-c", start, "models", "list"],
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert ("yolox-nano" in ran.stdout) == (closed == 2)
+
+
+def test_progress_is_silent_if_the_error_output_is_closed() -> None:
+    start = (
+        "import sys; from huepose_services.cli import entry, main\n"
+        "from huepose.support.progress import progress\n"
+        "main.main = lambda: print(list(progress([1, 2], 'work')))\n"
+        "sys.exit(entry.main())"
+    )
+    command = ["sh", "-c", '"$0" "$@" 2>&-', sys.executable, "-c", start]
+    assert subprocess.run(command, check=False, capture_output=True, text=True).stdout == "[1, 2]\n"

@@ -74,6 +74,8 @@ class YoloDetector:
         self.layout = _layout(network, output, self._input_size, layout)
         count = classes_in(self.layout, output.shape)
         _check_it_only_detects(network, count)
+        if self.layout in ("v8", "v5"):  # these have a box at every place, also where nothing is
+            self._check_pixels(candidates(output, self.layout, self._input_size, -1.0))
         self._classes = self._numbers(classes, count)
 
     def without_class(self, names: Iterable[str]) -> list[str]:
@@ -108,13 +110,7 @@ class YoloDetector:
         tensor = self._tensor(box_of.apply(frame.color, self._input_size))
         output = self._network.run({self._network.inputs[0].name: tensor})[self._network.outputs[0].name]
         found = candidates(output, self.layout, self._input_size, self._confidence)
-        if len(found.corners) and found.corners.max() <= _SHARES:
-            raise InputError(
-                self._network.path,
-                found=f"boxes within {found.corners.max():.2f} pixels of the corner: normalised boxes?",
-                expected=f"corners, or centres and sizes, in pixels of its input ({self.layout})",
-                fix="Export the network again, with boxes that are not normalised.",
-            )
+        self._check_pixels(found)
         corners = box_of.back(found.corners)
         if self.layout == "end2end":
             kept = np.argsort(-found.scores, kind="stable")
@@ -133,6 +129,15 @@ class YoloDetector:
                         given.append((name, number, box))
                         detections.append(Detection(name, box, float(found.scores[i])))
         return detections
+
+    def _check_pixels(self, found: Candidates) -> None:
+        if len(found.corners) and 0.0 < found.corners.max() <= _SHARES:
+            raise InputError(
+                self._network.path,
+                found=f"boxes within {found.corners.max():.2f} pixels of the corner: normalised boxes?",
+                expected=f"corners, or centres and sizes, in pixels of its input ({self.layout})",
+                fix="Export the network again, with boxes that are not normalised.",
+            )
 
     @property
     def _is_yolox(self) -> bool:

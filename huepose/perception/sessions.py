@@ -16,6 +16,7 @@ from typing import Any, cast
 import numpy as np
 
 from huepose.support.errors import InputError
+from huepose.support.files import writing
 
 PROVIDERS = {
     "tensorrt": "TensorrtExecutionProvider",
@@ -198,7 +199,8 @@ def _options(key: str, settings: NetworkSettings, half: bool) -> dict[str, str]:
         return {}
     options = {"trt_fp16_enable": "1" if settings.fp16 and half else "0"}
     if settings.cache is not None:
-        settings.cache.mkdir(parents=True, exist_ok=True)
+        with writing(settings.cache, "a folder that can be written", "Set networks.cache to one."):
+            settings.cache.mkdir(parents=True, exist_ok=True)
         options |= {"trt_engine_cache_enable": "1", "trt_engine_cache_path": str(settings.cache)}
     return options
 

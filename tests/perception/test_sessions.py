@@ -1,10 +1,12 @@
 """Opening and running networks: digests, broken files, providers, fixed and free sizes."""
 
 import hashlib
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from huepose.perception import sessions
 from huepose.perception.sessions import NetworkSettings, open_network
 from huepose.support.errors import InputError
 from tests.perception import networks
@@ -77,6 +79,14 @@ def test_missing_providers_are_skipped_but_never_silently_replaced(fixed):
     assert open_network(fixed, NetworkSettings(providers=("tensorrt", "cuda", "cpu"))).provider == "cpu"
     with pytest.raises(InputError, match="expected one of tensorrt"):
         open_network(fixed, NetworkSettings(providers=("tensorrt",)))
+
+
+def test_engines_are_kept_in_the_cache_and_a_place_that_cannot_be_one_is_an_error(tmp_path):
+    settings = NetworkSettings(cache=tmp_path / "new" / "engines")
+    assert sessions._options("tensorrt", settings, True)["trt_engine_cache_path"] == str(settings.cache)
+    assert settings.cache.is_dir()
+    with pytest.raises(InputError, match=r"/proc/engines: found .*Set networks\.cache to one"):
+        sessions._options("tensorrt", NetworkSettings(cache=Path("/proc/engines")), True)
 
 
 def test_threads_are_those_of_the_settings(fixed):

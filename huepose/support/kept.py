@@ -56,19 +56,22 @@ def kept(kind: type[T], digest: str | None, make: Callable[[], T]) -> T:
         home = cache_folder() / "derived" / digest
     except InputError:
         return make()
-    path = home / code_version() / f"{kind.__module__}.{kind.__qualname__}"
+    path, made = home / code_version() / f"{kind.__module__}.{kind.__qualname__}", None
     try:
         if (found := _mapped(path)) is not None:
             return _assembled(kind, found)
         path.parent.mkdir(parents=True, exist_ok=True)
         with _locked(path):
             if _mapped(path) is None:
-                _write(path, make())
+                made = make()
+                _write(path, made)
                 _tidy(path.parent)
         found = _mapped(path)
     except OSError:
         found = None
-    return make() if found is None else _assembled(kind, found)
+    if found is not None:
+        return _assembled(kind, found)
+    return make() if made is None else made
 
 
 @cache

@@ -13,6 +13,7 @@ from huepose.support import kept as module
 from huepose.support.errors import InputError
 from huepose.support.files import cache_folder
 from huepose.support.kept import code_version, kept
+from tests.disk import full_disk
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +86,14 @@ def test_without_a_file_or_a_folder_a_value_is_made_and_not_kept(home: Path) -> 
     home.write_text("no folder")
     assert_same(kept(Outer, "tea", make), Maker()())
     assert make.calls == 3
+
+
+def test_on_a_full_disk_a_value_is_made_once_and_not_kept(home: Path) -> None:
+    make = Maker()
+    with full_disk():
+        assert_same(kept(Outer, "tea", make), Maker()())
+    assert make.calls == 1
+    assert not [p for p in home.rglob("tests*") if p.is_file()]
 
 
 def test_without_a_home_a_value_is_made_and_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:

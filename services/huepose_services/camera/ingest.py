@@ -16,7 +16,6 @@ import secrets
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import pairwise
 
 from huepose.datasets.types import Scene
 from huepose.support.errors import InputError
@@ -73,12 +72,12 @@ class Schedule:
         self._once = camera.once
         self._start_ns = start_ns
         if camera.rate == "recorded":
-            gaps = [min(max(b - a, 0), _LONGEST_GAP_NS) for a, b in pairwise(_stamps(source))]
+            gaps = _gaps(source)
             known = sorted(gap for gap in gaps if gap)
             usual = known[len(known) // 2] if known else SECOND // 30
             self._offsets = [0]
-            for gap in [*gaps, usual]:
-                self._offsets.append(self._offsets[-1] + gap)
+            for gap in [*gaps, None]:
+                self._offsets.append(self._offsets[-1] + (usual if gap is None else gap))
         else:
             period = SECOND / float(camera.rate)
             self._offsets = [round(i * period) for i in range(len(self._ids) + 1)]
@@ -112,15 +111,21 @@ class Schedule:
         self._start_ns += by_ns
 
 
-def _stamps(source: Scene) -> list[int]:
-    """When each image was captured; an image without a timestamp, which is left out, gets that of the one
-    before."""
-    stamps, last = [], 0
+def _gaps(source: Scene) -> list[int | None]:
+    """The times between the captures of images. None if a timestamp is not after the last one: two frames
+    never have one time. 0 before an image without a timestamp, which is left out."""
+    gaps: list[int | None] = []
+    last: int | None = None
     for image in source.image_ids:
+        stamp = None
         with suppress(InputError):
-            last = source.stamp_ns(image)
-        stamps.append(last)
-    return stamps
+            stamp = source.stamp_ns(image)
+        if stamp is None or last is None:
+            gaps.append(0)
+        else:
+            gaps.append(min(stamp - last, _LONGEST_GAP_NS) if stamp > last else None)
+        last = last if stamp is None else stamp
+    return gaps[1:]
 
 
 class Busy:

@@ -70,6 +70,14 @@ def test_time_never_goes_back_and_a_jump_in_the_recorded_times_is_limited():
     assert dues[2] - dues[1] == 10 * SECOND
 
 
+@pytest.mark.parametrize("stamps", [(0, 30, 60, 20, 50), (0, 30, 30, 60, 90), (7, 7, 7)])
+def test_no_two_frames_have_one_time(stamps):
+    schedule = _schedule(dict(enumerate(stamps)), rate="recorded")
+    dues = [schedule.due_ns(i) - 1000 for i in range(len(stamps) + 1)]
+    usual = 30 if len(stamps) > 3 else SECOND // 30
+    assert dues == [usual * i for i in range(len(stamps) + 1)]
+
+
 def test_a_loop_at_recorded_times_goes_on_with_the_usual_gap():
     schedule = _schedule({0: 0, 1: 30, 2: 60, 3: 90}, rate="recorded")
     assert [schedule.due_ns(i) - 1000 for i in (3, 4, 5)] == [90, 120, 150]

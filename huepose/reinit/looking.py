@@ -3,6 +3,7 @@ is asked there."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -74,13 +75,16 @@ class Looks:
             for asked in every
             if asked.others
         }
-        wanted = {a.object: a.wanted for a, box in zip(every, predicted, strict=True) if box is None}
+        wanted: Counter[str] = Counter()
+        for asked, box in zip(every, predicted, strict=True):
+            wanted[asked.object] += asked.wanted if box is None else 0
+        wanted = +wanted
         turn = self.turn(names) if names else []
         also = [asked.object for asked in waiting]
         seen = self._detector.detect(frame, names, turn, followed, wanted, also) if wanted else []
         tracked = [(a.object, box) for a, box in zip(every, predicted, strict=True) if box is not None]
         return [
-            [Place(d.box, d.score) for d in chosen(seen, asked.object, asked.wanted, tracked)]
+            [Place(d.box, d.score) for d in self._found(asked, frame, seen, tracked)]
             if box is None
             else [Place(box)]
             for asked, box in zip(every, predicted, strict=True)
@@ -93,13 +97,33 @@ class Looks:
         self._turns = [name for name in self._turns if name not in turn] + turn
         return turn
 
+    def _found(
+        self,
+        asked: RequestedObject,
+        frame: RgbdFrame,
+        seen: Sequence[Detection],
+        tracked: Sequence[tuple[str, Box]],
+    ) -> list[Detection]:
+        """Places of a detector for an object without a fresh prediction: for a tracked instance the one that
+        overlaps most with its prediction, for new ones those that `chosen` returns."""
+        if asked.instance is None:
+            return chosen(seen, asked.object, asked.wanted, tracked)
+        mine, expected = [d for d in seen if d.object == asked.object], self._expected(asked, frame)
+        return sorted(mine, key=lambda d: expected is not None and -d.box.iou(expected))[:1]
+
+    def _expected(self, asked: RequestedObject, frame: RgbdFrame) -> Box | None:
+        """The box of a prediction of any age; None without one in the image."""
+        if asked.prior is None:
+            return None
+        outline = self._outlines[asked.object]
+        return outline.box(_predicted([asked.prior], frame, outline)[0], frame.camera)
+
     def _predicted(self, asked: RequestedObject, frame: RgbdFrame) -> Box | None:
         """The box of a fresh prediction, a little grown; None without one in the image."""
         prior, camera = asked.prior, frame.camera
         if prior is None or (frame.stamp_ns - prior.stamp_ns) * 1e-9 > FRESH_S:
             return None
-        outline = self._outlines[asked.object]
-        box = outline.box(_predicted([prior], frame, outline)[0], camera)
+        box = self._expected(asked, frame)
         box = None if box is None else box.grown(FRESH_MARGIN).clipped(camera.width, camera.height)
         return box if box is not None and box.w >= 1.0 and box.h >= 1.0 else None
 

@@ -30,11 +30,12 @@ class FakeDetector:
 
     def __init__(self, *detections, noticed=()):
         self.detections, self.asked, self.thorough, self.followed = detections, [], [], {}
-        self.waiting, self.noticed = [], noticed
+        self.waiting, self.noticed, self.wanted = [], noticed, []
 
     def detect(self, frame, names, thorough=(), followed=None, wanted=None, waiting=()):
         self.asked.append(tuple(names))
         self.followed = followed
+        self.wanted.append(dict(wanted or {}))
         self.thorough.append(list(thorough))
         self.waiting.append(tuple(waiting))
         seen = {*names, *(name for name in waiting if name in self.noticed)}

@@ -25,6 +25,18 @@ def test_an_old_prediction_is_not_used():
     assert [d.box for d in _find(detector, tracked(age_s=2.0))] == [LEFT]
 
 
+def test_instances_with_old_predictions_get_the_boxes_that_are_nearest_to_them():
+    """A camera of 1 Hz: each prediction is a second old."""
+    detector = FakeDetector(Detection("cube", LEFT, 0.9), Detection("cube", MIDDLE, 0.8))
+    here = tracked(age_s=1.0)
+    x = (LEFT.x - MIDDLE.x) / 500.0
+    prior = msgspec.structs.replace(here.prior, translation=(x, 0.0, 1.0))
+    beside = msgspec.structs.replace(here, instance=4, prior=prior)
+    assert [d.box for d in _find(detector, beside, here)] == [LEFT, MIDDLE]
+    assert [d.box for d in _find(detector, here)] == [MIDDLE], "not that of an instance that is not asked for"
+    assert detector.wanted == [{"cube": 2}, {"cube": 1}]
+
+
 def test_new_instances_are_not_searched_for_where_one_is_tracked():
     detector = FakeDetector(
         Detection("cube", MIDDLE, 0.9), Detection("cube", RIGHT, 0.5), Detection("can", LEFT, 0.8)

@@ -35,7 +35,7 @@ _WANTED: dict[Kind, tuple[str, str]] = {
         "image_proc converts bayer_* to colour).",
     ),
     "depth": (
-        "16UC1 (millimetres), 32FC1 (metres), or 16UC1 as compressedDepth",
+        "16UC1 (millimetres), 32FC1 (metres), or 16UC1 as compressedDepth in PNG",
         "HuePose needs depth: record the driver's depth topic.",
     ),
 }
@@ -45,7 +45,7 @@ _WANTED: dict[Kind, tuple[str, str]] = {
 def kind_of(message: Any) -> Kind | None:
     """Whether an image is colour or depth; None if it is neither."""
     encoding = encoding_of(message)
-    if encoding in _METRES or encoding.startswith(_DEPTH_PNG):
+    if encoding in _METRES or (encoding.startswith(_DEPTH_PNG) and "rvl" not in encoding.lower()):
         return "depth"
     if encoding in _CHANNELS or (_is_compressed(message) and _has_colours(encoding)):
         return "color"

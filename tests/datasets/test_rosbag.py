@@ -222,6 +222,19 @@ def test_compressed_images_are_read(kind: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(frame.depth, DEPTHS_MM[1].astype(np.float32) * np.float32(0.001))
 
 
+def test_depth_compressed_by_rvl_is_refused_by_its_encoding(tmp_path: Path) -> None:
+    ros = Ros("a")
+    encoding = "16UC1; compressedDepth rvl"
+    messages = desk(
+        ros,
+        depth=lambda n, ns: ros.compressed(bytes(40), encoding, ns),
+        depth_topic=f"{DEPTH}/compressedDepth",
+    )
+    said = refusal(ros.write(tmp_path / "a", messages))
+    assert f"an image with the encoding '{encoding}'" in said
+    assert "16UC1 as compressedDepth in PNG" in said
+
+
 def test_depth_in_metres_has_0_where_there_is_no_reading(tmp_path: Path) -> None:
     ros = Ros("a")
     metres = (DEPTHS_MM / np.float32(700)).astype(np.float32)

@@ -215,6 +215,7 @@ class Reader(Client):
         self.missed = 0
         self._messages: deque[tuple[str, bytes]] = deque(maxlen=_WAITING)
         self._came = threading.Condition()
+        self._closed = False
         self._keys, self._heard = keys, set[str]()
         super().__init__(open_session(endpoints, authority, certificate, key))
         tokens = self._session.liveliness().declare_subscriber
@@ -255,11 +256,19 @@ class Reader(Client):
         return len(self._messages)
 
     def next(self, timeout_s: float | None = None) -> Message | None:
-        """The next message that can be decoded, or None after the timeout; timeout_s None: wait for ever."""
+        """The next message that can be decoded; None after the timeout, or when the reader is closed."""
         while True:
             with self._came:
-                if not self._came.wait_for(lambda: self._messages, timeout_s):
+                self._came.wait_for(lambda: self._messages or self._closed, timeout_s)
+                if not self._messages:
                     return None
                 key, data = self._messages.popleft()
             if (message := self._decoded(key, data)) is not None:
                 return message
+
+    def close(self) -> None:
+        """Disconnect; whoever waits for a message gets None."""
+        with self._came:
+            self._closed = True
+            self._came.notify_all()
+        super().close()

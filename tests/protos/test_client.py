@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -148,6 +149,16 @@ def test_a_reader_that_is_not_read_keeps_the_newest_messages_and_counts_the_othe
             reader._on_sample(pose("lab", 1, SECOND, frame_id=number))
         assert (reader.pending, reader.missed) == (3, 2)
         assert [message.frame_id for message in heard(reader)] == [2, 3, 4]
+
+
+def test_whoever_waits_for_a_message_of_a_reader_that_is_closed_gets_none():
+    got = []
+    with Reader([NOBODY], "huepose/**") as reader:
+        waiting = threading.Thread(target=lambda: got.append(reader.next()), daemon=True)
+        waiting.start()
+    waiting.join(5.0)
+    assert got == [None]
+    assert reader.next() is None
 
 
 def note(folder, camera, port):

@@ -162,6 +162,10 @@ GOOD = "camera: {truth: true}\n"
             ["viewer.grpc_port: found 9876; expected another port than that of gateway.listen."],
         ),
         (
+            "workers: [camera, gateway, viewer]\ngateway: {listen: '192.168.7.5:9090'}",
+            ["viewer.web_port: found 9090; expected another port than that of gateway.listen."],
+        ),
+        (
             "workers: [camera, viewer]\nviewer: {grpc_port: 9091}\ncameras: [{name: a}, {name: b}]",
             ["viewer.web_port of b: found 9091; expected another port than that of viewer.grpc_port of a."],
         ),
@@ -194,7 +198,7 @@ def test_an_error_names_path_value_and_what_is_allowed(text, parts):
     "text",
     [
         "workers: [camera, viewer]\nviewer: {grpc_port: 7447}\ngateway: {listen: '127.0.0.1:7447'}",
-        "workers: [camera, gateway, viewer]\ngateway: {listen: '192.0.2.1:9090'}",
+        "workers: [camera, gateway, viewer]\ngateway: {listen: '192.0.2.1:9876'}",
         "workers: [camera, gateway, viewer]\ncameras: [{name: a}, {name: b}, {name: c}]",
     ],
     ids=["one that is not started", "at another address", "several cameras"],

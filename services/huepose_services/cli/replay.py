@@ -90,15 +90,17 @@ def _in_order(recordings: list[Recording]) -> list[Recording]:
     """The same files, the parts of each recording in their order: shells sort run_0001.mcap before
     run.mcap."""
 
-    def part_of(recording: Recording) -> tuple[Path, int]:
-        number, path = recording.notes.get("huepose", {}).get("part", ""), recording.path
-        part = int(number) if number.isdecimal() else 0
-        return path.with_name(path.name.replace(f"_{part:04d}.", ".") if part else path.name), part
-
-    parts = [part_of(recording) for recording in recordings]
+    parts = [_part_of(recording) for recording in recordings]
     firsts = [path for path, _ in parts]
     order = sorted(range(len(parts)), key=lambda k: (firsts.index(firsts[k]), parts[k][1]))
     return [recordings[k] for k in order]
+
+
+def _part_of(recording: Recording) -> tuple[Path, int]:
+    """The first file of the recording that a file is a part of, and the number of the part, from 0."""
+    number, path = recording.notes.get("huepose", {}).get("part", ""), recording.path
+    part = int(number) if number.isdecimal() else 0
+    return path.with_name(path.name.replace(f"_{part:04d}.", ".") if part else path.name), part
 
 
 def _check_one_run(recordings: list[Recording]) -> None:
@@ -107,13 +109,16 @@ def _check_one_run(recordings: list[Recording]) -> None:
     from huepose_protos.keys import camera_of
 
     camera, began_ns = "", 0
-    for recording in recordings:
+    for k, recording in enumerate(recordings):
+        if any(recording.path.samefile(other.path) for other in recordings[:k]):
+            raise InputError(recording.path, found="the same file twice", expected="each part once")
         event = next(iter(recording.events()), None)
         if event is None:
             continue
         its_camera, its_ns = camera_of(event.key), event.message.publish_ns
         # A part may begin with frames that the tracker gave late.
-        if (camera and its_camera != camera) or its_ns < began_ns - _MOST_EARLIER_NS:
+        earlier_ns = _MOST_EARLIER_NS if _part_of(recording)[1] else 0
+        if (camera and its_camera != camera) or its_ns < began_ns - earlier_ns:
             found = "a recording that began before the last one"
             if its_camera != camera:
                 found = f"a recording of camera '{its_camera}'"

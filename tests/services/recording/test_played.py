@@ -340,6 +340,19 @@ def test_recordings_that_do_not_follow_each_other_are_not_mixed(tmp_path, refuse
     assert f"two.mcap: found {said}; expected the parts of one recording" in error
 
 
+@pytest.mark.parametrize("how", [[], ["--verify"]])
+def test_short_recordings_in_the_wrong_order_and_a_file_given_twice_are_refused(tmp_path, refused, how):
+    for name, at in (("late", 30), ("early", 0)):
+        out = parts(tmp_path / name)
+        out.frame(*tiny_frame(at), KEY + "frame")
+        out.close()
+    late, early = tmp_path / "late.mcap", tmp_path / "early.mcap"
+    error = refused(["replay", late, early, *how])
+    assert "early.mcap: found a recording that began before the last one" in error
+    error = refused(["replay", early, late, tmp_path / "." / "late.mcap", *how])
+    assert "late.mcap: found the same file twice; expected each part once" in error
+
+
 @pytest.mark.live
 @pytest.mark.usefixtures("same_handlers")
 def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, tmp_path):

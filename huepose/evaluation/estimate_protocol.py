@@ -181,7 +181,8 @@ class _FrameRun:
         return self._rows(queries, taken, seconds, lambda name: why)
 
     def _estimated(self, queries: Mapping[int, ObjectQuery]) -> list[PoseEstimate]:
-        return self.setup.estimator.estimate(self.sample.frame, list(queries.values())) if queries else []
+        answers = self.setup.estimator.estimate(self.sample.frame, list(queries.values())) if queries else []
+        return [answer if _is_finite(answer) else _without_pose(answer) for answer in answers]
 
     def _query(self, label: Label) -> ObjectQuery | None:
         """The query of a label; None if its true mask or box is empty: nothing of the object is in the
@@ -356,3 +357,12 @@ class _FrameRun:
                 (p, self.setup.targets.right(label.model, T, label.T_cam_obj, equivalents)) for T, p in others
             ),
         )
+
+
+def _is_finite(answer: PoseEstimate) -> bool:
+    return answer.T_cam_obj is None or bool(np.isfinite(answer.T_cam_obj).all())
+
+
+def _without_pose(answer: PoseEstimate) -> PoseEstimate:
+    reason = "The estimator gave a pose that is not finite."
+    return PoseEstimate(answer.object, answer.instance, seconds=answer.seconds, reason=reason)

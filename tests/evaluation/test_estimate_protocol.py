@@ -109,6 +109,16 @@ def test_a_pose_that_was_not_found_is_null_and_wrong_and_scores_zero(models, sce
     assert result.summary()["ece"] is None
 
 
+def test_a_pose_that_is_not_finite_counts_as_not_found(models, scene) -> None:
+    def answer(frame, query):
+        return estimate_of(query, np.full((4, 4), np.nan) if query.object == "brick" else pose_at(0.1))
+
+    result = evaluate_estimates([scene], Targets(models), ScriptedEstimator(answer), EstimateOptions())
+    rows = [row for row in result.rows if row.object == 7]
+    assert [(row.T_cam_obj, row.state.value) for row in rows] == [(None, "LOST")]
+    assert rows[0].reason == "The estimator gave a pose that is not finite."
+
+
 def test_as_many_boxes_of_a_file_are_used_as_the_object_has_labels(models, scene) -> None:
     """Image 3 has a box of object 5 at its label, a less confident one, one of an object without a model, and
     none of object 7. Image 8 has no box."""

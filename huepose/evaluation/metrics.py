@@ -141,8 +141,8 @@ def _held(poses: Sequence[Float64 | None]) -> list[Float64 | None]:
 def _speed(
     poses: Sequence[Float64 | None], stamps_ns: Sequence[int], before: int, after: int
 ) -> Float64 | None:
-    """Mean velocity (6,) between two frames, None if one of them has no pose."""
-    if before < 0 or after >= len(poses):
+    """Mean velocity (6,) between two frames, None if one of them has no pose or the time does not advance."""
+    if before < 0 or after >= len(poses) or stamps_ns[after] <= stamps_ns[before]:
         return None
     start, end = poses[before], poses[after]
     if start is None or end is None:

@@ -46,3 +46,13 @@ def test_missing_poses_repeat_the_last_and_frames_before_the_first_are_left_out(
     figures = roft_figures(poses, TRUTHS, STAMPS)
     assert figures["rmse_cm"] == pytest.approx(np.sqrt((2**2 + 4**2) / 5))  # 2 and 4 cm behind, of 5 frames
     assert roft_figures([None] * 6, TRUTHS, STAMPS)["rmse_cm"] is None
+
+
+def test_frames_with_the_same_timestamp_have_no_velocity() -> None:
+    """Of frames 1 to 4, those with a frame before of the same time have no published velocity."""
+    stamps = [0, 100_000_000, 100_000_000, 300_000_000, 300_000_000, 300_000_000]
+    figures = roft_figures(TRUTHS, TRUTHS, stamps)
+    assert figures["rmse_cm"] == pytest.approx(0.0, abs=1e-6)
+    assert figures["rmse_cm_s"] is not None
+    assert np.isfinite(figures["rmse_cm_s"])
+    assert roft_figures(TRUTHS, TRUTHS, [0] * 6)["rmse_cm_s"] is None

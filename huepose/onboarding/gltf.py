@@ -121,6 +121,8 @@ def _data_uri(uri: str) -> bytes:
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6  # modes of primitives that have faces
 _MOST_NODES = 10_000  # or meshes, of a file
 _TRANSFORM, _GLOSSY = "KHR_texture_transform", "KHR_materials_pbrSpecularGlossiness"
+_INSTANCED = "EXT_mesh_gpu_instancing"
+"""Without it, readers show one of many copies of a mesh."""
 _WRAPS: dict[int, Wrap] = {33071: "clamp", 33648: "mirror", 10497: "repeat"}
 _NEARLY_WHITE = 0.98  # of COLOR_0, which is linear: two levels of 255 less than white
 _LOOKS = (
@@ -166,6 +168,7 @@ def read_gltf(files: MeshFiles) -> RawMesh:
     also LookupError, TypeError, ValueError and AttributeError."""
     asset = load_asset(files)
     foreign = set(asset.tree.get("extensionsRequired", [])) - _UNDERSTOOD
+    foreign |= {_INSTANCED} & set(asset.tree.get("extensionsUsed", []))
     if foreign:
         fix = "Export again without it."
         if foreign & _COMPRESSED:
@@ -181,6 +184,8 @@ def _merged(asset: Asset) -> RawMesh:
     primitives, names = _placed_primitives(asset)
     for T, primitive in primitives:
         faces = _faces(asset, primitive)
+        if not len(faces):
+            continue
         attributes = primitive["attributes"]
         vertices = se3.apply(T, asset.accessor(attributes["POSITION"])[:, :3].astype(np.float64))
         faces = faces[:, ::-1] if np.linalg.det(T[:3, :3]) < 0 else faces
@@ -318,7 +323,7 @@ def _faces(asset: Asset, primitive: dict[str, Any]) -> Int64:
         strip = np.stack([index[:-2], index[1:-1], index[2:]], 1)
         strip[1::2] = strip[1::2, ::-1]
         return strip
-    return np.stack([np.full(len(index) - 2, index[0]), index[1:-1], index[2:]], 1)
+    return np.stack([np.full(max(len(index) - 2, 0), index[:1]), index[1:-1], index[2:]], 1)
 
 
 def _transformed(uv: Float64, transform: dict[str, Any]) -> Float64:

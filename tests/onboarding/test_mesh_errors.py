@@ -170,6 +170,13 @@ def test_extensions_that_change_the_mesh_are_refused_by_name(
         read_mesh(tmp_path / "m.glb")
 
 
+def test_instances_that_the_file_does_not_require_are_refused_too(tmp_path: Path) -> None:
+    tree = {"asset": {"version": "2.0"}, "extensionsUsed": ["KHR_materials_ior", "EXT_mesh_gpu_instancing"]}
+    (tmp_path / "m.glb").write_bytes(files.glb(tree, b""))
+    with pytest.raises(InputError, match=r"found the extension EXT_mesh_gpu_instancing; .*Export again"):
+        read_mesh(tmp_path / "m.glb")
+
+
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [

@@ -269,6 +269,16 @@ def test_meshes_of_a_gltf_are_merged_and_strips_and_colors_read(tmp_path: Path) 
     assert set(np.round(read.vertices[:, 2], 4)) == {0.0, np.float32(0.05)}
 
 
+@pytest.mark.parametrize("mode", [4, 5, 6])
+def test_an_empty_part_of_a_gltf_is_left_out(tmp_path: Path, printed_box: Mesh, mode: int) -> None:
+    w = files.GlbWriter()
+    own = {"material": w.textured_material(printed_box.texture)}
+    box = w.mesh(w.corners(printed_box), **own)
+    point = w.mesh({"POSITION": w.accessor(np.zeros((1, 3), "<f4"), "VEC3")}, mode=mode, **own)
+    w.write(tmp_path / "m.glb", [{"mesh": box}, {"mesh": point}], [0, 1])
+    assert_same(read_mesh(tmp_path / "m.glb"), printed_box)
+
+
 def test_gltf_may_be_in_parts(tmp_path: Path, printed_box: Mesh) -> None:
     images = [{"uri": "my%20print.png"}]
     path = files.write_gltf(tmp_path, printed_box, images=images)

@@ -11,6 +11,7 @@ import os
 import stat
 import unicodedata
 import warnings
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -159,9 +160,10 @@ class MeshFiles:
 
 
 def decoded(data: bytes) -> str:
-    """Text of a mesh or material file: UTF-8, or if it is not, Latin-1, which older exporters write."""
+    """Text of a mesh or material file: UTF-8 or, by its first bytes, UTF-16; if it is neither, Latin-1, which
+    older exporters write."""
     try:
-        return data.decode("utf-8-sig")
+        return data.decode("utf-16" if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("latin-1")
 

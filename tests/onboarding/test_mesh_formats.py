@@ -279,6 +279,17 @@ def test_an_empty_part_of_a_gltf_is_left_out(tmp_path: Path, printed_box: Mesh, 
     assert_same(read_mesh(tmp_path / "m.glb"), printed_box)
 
 
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be"])
+def test_an_obj_may_be_in_utf_16(tmp_path: Path, printed_box: Mesh, encoding: str) -> None:
+    """The shell of Windows writes it so."""
+    path = tmp_path / "m.obj"
+    files.write_obj(path, printed_box)
+    for one in (path, path.with_suffix(".mtl")):
+        mark = "" if encoding == "utf-16" else "\ufeff"
+        one.write_text(mark + one.read_text(), encoding=encoding)
+    assert_same(read_mesh(path), printed_box)
+
+
 def test_gltf_may_be_in_parts(tmp_path: Path, printed_box: Mesh) -> None:
     images = [{"uri": "my%20print.png"}]
     path = files.write_gltf(tmp_path, printed_box, images=images)

@@ -40,6 +40,7 @@ _KINDS = (
         (b"\x89PNG", b"\xff\xd8\xff"),
         "Give the mesh that it belongs to: the mesh names its texture.",
     ),
+    _Kind("a material file", (".mtl",), (), "Give the .obj that names it: it reads this file by itself."),
     _Kind("a zip archive", (".zip",), (b"PK\x03\x04",), "Unpack it, and give the mesh in it."),
 )
 

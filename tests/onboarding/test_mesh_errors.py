@@ -190,6 +190,7 @@ def test_instances_that_the_file_does_not_require_are_refused_too(tmp_path: Path
         ),
         ("m.dae", b"", "found a COLLADA file; expected .obj, .ply, .glb, .gltf. Open it in its program"),
         ("m.png", b"", "found an image; expected .obj, .ply, .glb, .gltf. Give the mesh that it belongs to"),
+        ("m.mtl", b"newmtl a", "found a material file; expected .obj, .ply, .glb, .gltf. Give the .obj that"),
         ("m.obj", b"BLENDER-v279", "found a Blender file by its first bytes, with the ending '.obj'"),
         ("m.glb", b"ISO-10303-21;", "found a STEP file by its first bytes, with the ending '.glb'"),
         ("m.ply", b"Kaydara FBX Binary", "found an FBX file by its first bytes, with the ending '.ply'"),

@@ -111,7 +111,10 @@ install_programs() {
 # the new ones exist.
 use() {
     run rm -rf "$1/units"
-    run "$1/.venv/bin/huepose" units "$home/pipeline.yaml" --out "$1/units" --user "$user"
+    run "$1/.venv/bin/huepose" units "$home/pipeline.yaml" --out "$1/units" --user "$user" || {
+        old_config
+        fail "no units were made, so nothing that runs was changed"
+    }
     remove_units
     run rm -rf "$prefix/.venv"
     run ln -s "$1/.venv" "$prefix/.venv"

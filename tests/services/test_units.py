@@ -363,6 +363,22 @@ def test_the_services_can_read_the_programs_whatever_the_umask(two_versions):
         assert path.stat().st_mode & needed == needed, path
 
 
+@pytest.mark.parametrize("refuses", ["validate", "units"])
+def test_if_the_new_version_is_refused_the_old_configuration_comes_back(two_versions, refuses):
+    written = f"#!/bin/sh\\n[ \\$1 != {refuses} ]"
+    program = f'printf "{written}" > "$VIRTUAL_ENV/bin/huepose"; chmod +x "$VIRTUAL_ENV/bin/huepose"'
+    _bundle(two_versions, f'if [ "$1" = venv ]; then mkdir -p "$last/bin"; else {program}; fi')
+    (two_versions / "home").mkdir()
+    (two_versions / "home/pipeline.yaml").write_text("site: old\n")
+    (two_versions / "new.yaml").write_text("site: new\n")
+    before = _files(two_versions / "units")
+    done = _run_installer(two_versions, "--config", str(two_versions / "new.yaml"))
+    assert done.returncode == 2, done.stderr
+    assert _files(two_versions / "home") == {"pipeline.yaml": "site: old\n"}
+    assert _files(two_versions / "units") == before
+    assert (two_versions / "opt/.venv").readlink() == two_versions / "opt/releases/2/.venv"
+
+
 @pytest.mark.parametrize("version", ["3.10", "3.12"])
 def test_a_bundle_is_installed_with_the_python_that_its_wheels_fit(two_versions, version):
     """Also if another one is there."""

@@ -220,6 +220,10 @@ class ReinitWork(Work):
             if not self._camera.agrees(answer.camera_epoch, now_ns()):
                 self._bus.health.count("answers_of_another_camera")
                 continue
+            if answer.request_seq > self._loop.counters.requests:
+                # A request of a loop that has died: its tracks may not be known here yet.
+                self._bus.health.count("answers_to_an_earlier_loop")
+                continue
             self._camera_doubt = answer.camera
             if self._counts(answer):
                 self._answered_ns = min(answer.capture_ns, now_ns())

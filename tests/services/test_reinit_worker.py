@@ -105,6 +105,18 @@ def test_that_an_object_is_found_is_published_at_once(bus, step):
     assert bus.mug().searching == 0
 
 
+def test_an_answer_to_a_loop_that_has_died_is_not_judged_before_its_tracks_are_known(bus, step):
+    """It is about the second of two mugs, and would be given to the first one."""
+    late = msgspec.structs.replace(found(), instance=1)
+    step()
+    bus.arriving[Estimates].append(answer(bus, request_seq=500, estimates=[late]))
+    step()
+    assert not any(isinstance(message, CorrectionMessage) for message in bus.said)
+    bus.arriving[Estimates].append(answer(bus, estimates=[found()]))
+    step()
+    assert any(isinstance(message, CorrectionMessage) for message in bus.said)
+
+
 @pytest.mark.parametrize(("frame_id", "counted"), [(9, "held"), (10, "expired")])
 def test_a_request_expires_only_if_the_camera_has_given_another_frame(
     bus, objects, monkeypatch, frame_id, counted

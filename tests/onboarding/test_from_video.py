@@ -270,6 +270,17 @@ def test_a_view_whose_mask_becomes_empty_leaves_the_other_poses_as_they_are(
     assert np.allclose(np.degrees(turned), [0.0, 6.0, 12.0], atol=1.0)
 
 
+def test_views_that_leave_no_surface_are_refused_with_how_to_record_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    views = [SimpleNamespace(mask=np.ones((4, 4), bool)) for _ in range(2)]
+    monkeypatch.setattr(LEARN, "fused", lambda views: None)
+    monkeypatch.setattr(LEARN, "_moved_to_fit", lambda view, *_: view)
+    monkeypatch.setattr(LEARN, "_masked_by", lambda *_: SimpleNamespace(mask=np.zeros((4, 4), bool)))
+    with pytest.raises(InputError, match=r"views that contradict each other.*Record it again"):
+        LEARN._polished(views, 0.1, lambda step: None)
+
+
 def test_a_finger_that_is_gone_later_is_a_free_space_violation() -> None:
     """Of two views, one shows the finger, the other shows free space there: one vote each."""
     T = pose(0.0)

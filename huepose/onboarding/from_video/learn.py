@@ -300,6 +300,13 @@ def _polished(views: Sequence[View], radius_m: float, report: Report) -> list[Vi
         moved = [_moved_to_fit(view, shape, showing) if view.mask.any() else view for view in out]
         others = _showing(moved)
         out = [_masked_by(view, others, radius_m) if view.mask.any() else view for view in moved]
+        if not _showing(out):
+            raise InputError(
+                "the recording",
+                found="views that contradict each other, so that no surface is left",
+                fix="Record it again: turn the object slowly, in full view of the camera, and let nothing "
+                "else move with it.",
+            )
     return out
 
 

@@ -89,10 +89,12 @@ def pose_figures(poses: list[SeenPose], start: float, end: float) -> dict[str, A
 
 def _worker(pipeline: LivePipeline, worker: str, start: float, end: float, cpu: float) -> dict[str, Any]:
     said = [(at, m) for at, m in pipeline.health_log if m.worker == worker and start <= at <= end]
-    last = said[-1][1]
+    if not said:
+        return {"cpu_percent": cpu, "last_error": "it sent no health message"}
+    last, grown = said[-1][1], growth(said, start, end).get(worker)
     return {
         "cpu_percent": cpu,
-        "memory": asdict(growth(said, start, end)[worker]),
+        "memory": None if grown is None else asdict(grown),
         "locked_mib": last.locked_mib,
         "drops": last.drops - said[0][1].drops,
         "errors": last.errors,

@@ -13,7 +13,7 @@ class TrackerConfig:
     and older ones, of which half are a tenth and half a sixth of a second apart; catch_up_stride: most frames
     that one step of catching up advances.
 
-    States. tracking_quality, suspect_quality: evidence above the first in two frames in a row leads to
+    States. tracking_quality, suspect_quality: evidence above the first in two looks in a row leads to
     TRACKING, evidence below the second to SUSPECT; confirmed_identity: identity that an acquired pose needs
     to be TRACKING: less than one in twenty is wrong; confirmed_turn: the same for the orientation;
     least_quality: no pose with a lower published quality is TRACKING; lost_quality: a frame with less

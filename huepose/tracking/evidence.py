@@ -45,8 +45,9 @@ HIDDEN, SCARCE_FADE = 0.6, 0.93
 """If more than HIDDEN of the surface is occluded, the quality falls by SCARCE_FADE per look."""
 
 RETURNED_AFTER, AT_ONCE = 2, 0.95
-"""Supported frames in a row after which a SUSPECT object is TRACKING again; with an evidence of AT_ONCE one
-is enough: less than one in twenty such poses is wrong. Chosen on rendered sequences of the split `choose`."""
+"""Supported looks in a row after which a SUSPECT object is TRACKING again; with an evidence of AT_ONCE one
+frame is enough: less than one in twenty such poses is wrong. Chosen on rendered sequences of the split
+`choose`."""
 
 
 def log_odds(
@@ -113,18 +114,21 @@ def bounded(quality: float, scarce_looks: float) -> float:
 
 @dataclass(frozen=True)
 class TrackState:
-    """A state. unsupported: looks in a row without support; supported: frames in a row with good support;
-    found: the object was LOST, and found in this frame."""
+    """A state. unsupported, supported: looks in a row without support, and with good support; found: the
+    object was LOST and found in this frame, or, at more than 30 Hz, the part of a look that is left since
+    then."""
 
     state: State
     unsupported: float = 0.0
-    supported: int = 0
-    found: bool = False
+    supported: float = 0.0
+    found: float = 0.0
 
     @property
     def just_found(self) -> bool:
         """Whether all that is missing are more frames like this one."""
-        return self.state is State.SUSPECT and 0 < self.supported < RETURNED_AFTER
+        return (
+            self.state is State.SUSPECT and 0 < self.supported and not enough(self.supported, RETURNED_AFTER)
+        )
 
 
 def next_state(
@@ -135,27 +139,28 @@ def next_state(
     `least_quality`.
 
     SUSPECT at once when it is not confirmed or the evidence is under `suspect_quality`; LOST after
-    `lost_after` looks in a row under `lost_quality`. From SUSPECT to TRACKING after two frames in a row of at
-    least `tracking_quality`, or one of at least AT_ONCE, unless it was found in that frame after a loss. LOST
-    and SEARCHING do not change here.
+    `lost_after` looks in a row under `lost_quality`. From SUSPECT to TRACKING after two looks in a row of at
+    least `tracking_quality`, or a frame of at least AT_ONCE, unless it was found less than a look ago after a
+    loss. LOST and SEARCHING do not change here.
     """
     if before.state in (State.LOST, State.SEARCHING):
         return before
-    unsupported = before.unsupported + looks(apart_s) if evidence < config.lost_quality else 0.0
-    supported = before.supported + 1 if evidence >= config.tracking_quality else 0
-    if evidence >= AT_ONCE and not before.found:
-        supported = max(supported, RETURNED_AFTER)
+    here = looks(apart_s)
+    unsupported = before.unsupported + here if evidence < config.lost_quality else 0.0
+    supported = before.supported + here if evidence >= config.tracking_quality else 0.0
+    if evidence >= AT_ONCE and before.found <= 0.0:
+        supported = max(supported, float(RETURNED_AFTER))
     if enough(unsupported, config.lost_after):
         state = State.LOST
     elif (
         evidence < config.suspect_quality
         or not confirmed
-        or (before.state is State.SUSPECT and supported < RETURNED_AFTER)
+        or (before.state is State.SUSPECT and not enough(supported, RETURNED_AFTER))
     ):
         state = State.SUSPECT
     else:
         state = State.TRACKING
-    return TrackState(state, unsupported, supported)
+    return TrackState(state, unsupported, supported, max(before.found - here, 0.0))
 
 
 NEW_VIEW = np.radians(25.0)

@@ -226,7 +226,7 @@ class Track:
         self.covariance, self._spread = uncertainty(self.subject, first, frame)
         self.evidence = evidence.limited_by_covariance(sure, self._spread)
         self._begin()
-        self._track_state = TrackState(State.SUSPECT, found=True)
+        self._track_state = TrackState(State.SUSPECT, found=1.0)
         self._found_elsewhere(self._of_its_color(sure), frame)
         return tried + self._check_orientation(anchor, frame, hurry=False)
 

@@ -30,7 +30,7 @@ class Doubt(str, Enum):
     LOOSE = "loose"
     """Too little of it is visible to fix its pose."""
     FOUND = "found"
-    """It has fitted for one frame only; one more is needed."""
+    """It has fitted for less than two frames at 30 Hz."""
 
 
 class Verdict(str, Enum):

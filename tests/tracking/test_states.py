@@ -132,6 +132,21 @@ def test_suspect_returns_after_two_supported_frames() -> None:
     assert run([0.4, 0.9, 0.9]) == [State.SUSPECT, State.SUSPECT, State.TRACKING]
 
 
+@pytest.mark.parametrize(("rate_hz", "needed"), [(240, 12), (90, 5), (60, 3), (30, 2), (5, 2)])
+def test_suspect_returns_no_sooner_at_more_than_30_frames_per_second(rate_hz: int, needed: int) -> None:
+    assert run([0.4] + [0.9] * 20, apart_s=1.0 / rate_hz).index(State.TRACKING) == needed
+
+
+def test_what_was_found_after_a_loss_has_to_fit_for_a_look_at_any_rate() -> None:
+    def frames(rate_hz: int) -> int:
+        track_state, count = TrackState(State.SUSPECT, found=1.0), 0
+        while track_state.state is not State.TRACKING:
+            track_state, count = next_state(track_state, 0.99, True, CONFIG, 1.0 / rate_hz), count + 1
+        return count
+
+    assert (frames(240), frames(90), frames(30), frames(5)) == (9, 4, 2, 2)
+
+
 @pytest.mark.parametrize(("rate_hz", "lost"), [(90, 14), (60, 9), (30, 5), (6, 5)])
 def test_a_track_is_lost_no_sooner_at_more_than_30_frames_per_second(rate_hz: int, lost: int) -> None:
     assert run([0.1] * 20, apart_s=1.0 / rate_hz).index(State.LOST) == lost - 1

@@ -30,6 +30,9 @@ _EDGE_PX = 2.0
 
 _STEP_PX = 0.5
 
+MOST_ROWS = 16384
+"""Points whose lines are read at once."""
+
 
 def smoothed(color: UInt8) -> Float32:
     """The opponents of an image (H, W, 3) without the noise of single pixels."""
@@ -85,7 +88,13 @@ def edges_across(picture: Float32, pixels: Float64, normals: Float64, reach_px: 
     places = np.arange(-reach_px - half, reach_px + half + 0.01, _STEP_PX)
     x = (pixels[:, 0, None] + places * normals[:, 0, None]).astype(np.float32)
     y = (pixels[:, 1, None] + places * normals[:, 1, None]).astype(np.float32)
-    values = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    # cv2.remap takes at most 32767 rows: the outlines of a dozen objects in an image of 4K have more points.
+    values = np.concatenate(
+        [
+            cv2.remap(picture, x[some], y[some], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            for some in (slice(k, k + MOST_ROWS) for k in range(0, len(x), MOST_ROWS))
+        ]
+    )
     apart = round(_EDGE_PX / _STEP_PX)
     steps = np.linalg.norm(values[:, apart:] - values[:, :-apart], axis=-1)
     strength = steps / (steps.mean(axis=1, keepdims=True) + FAINT)

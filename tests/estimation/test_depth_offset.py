@@ -45,6 +45,18 @@ def test_an_occluded_outline_says_nothing(
     assert depth_offset(frame, []) is None
 
 
+def test_outlines_may_have_more_points_than_an_image_of_opencv_rows(
+    frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    carried = replace(frame, color=np.roll(frame.color, (-2, 3), axis=(0, 1)))
+    one = depth_offset(carried, [(tea_box, standing)])
+    assert one is not None
+    often = 40_000 // one.points
+    many = depth_offset(carried, [(tea_box, standing)] * often)
+    assert many is not None
+    assert (many.right_px, many.down_px, many.points) == (one.right_px, one.down_px, often * one.points)
+
+
 def test_the_finding_is_said_in_words() -> None:
     said = "The image shows outlines 3.0 px to the left and 1.5 px below where depth has them"
     assert str(DepthOffset(-3.0, 1.5, 9.0, 400)) == said

@@ -127,7 +127,9 @@ class TrackState:
     def just_found(self) -> bool:
         """Whether all that is missing are more frames like this one."""
         return (
-            self.state is State.SUSPECT and 0 < self.supported and not enough(self.supported, RETURNED_AFTER)
+            self.state is State.SUSPECT
+            and self.supported > 0.0
+            and not enough(self.supported, RETURNED_AFTER)
         )
 
 

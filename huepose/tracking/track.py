@@ -50,7 +50,7 @@ COASTING_SEEN = 0.15
 one."""
 
 COASTING_DAMPING = 0.85
-"""The velocity is multiplied by this in each frame that does not support the pose."""
+"""The velocity is multiplied by this in each look that does not support the pose."""
 
 
 class Track:
@@ -496,7 +496,7 @@ class Track:
         """Handle a frame that does not support the pose: follow the prediction if hardly anything is
         visible."""
         first, T, seconds = self.hypotheses[0], self.hypotheses[0].T_cam_obj, self._apart_s
-        velocity = None if before.velocity is None else before.velocity * COASTING_DAMPING
+        velocity = None if before.velocity is None else before.velocity * COASTING_DAMPING ** looks(seconds)
         if first.terms.seen < COASTING_SEEN:
             T = predicted(self.subject.surface, before.T_cam_obj, before.velocity, seconds)
         self.hypotheses = (replace(first, T_cam_obj=T, velocity=velocity), *self.hypotheses[1:])

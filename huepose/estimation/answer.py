@@ -25,7 +25,7 @@ from huepose.believe.state import State
 from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.methods import PairMethod
-from huepose.estimation.reasons import why_absent
+from huepose.estimation.reasons import why_absent, why_unseen
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64, Int64
@@ -142,14 +142,8 @@ def _box_and_masks(
 ) -> tuple[Box, list[Bool]]:
     """Box and candidate masks of a query: as given, else the box of the masks or the prior, and the
     segmenter's masks."""
+    check_masks(frame, query)
     box, masks = query.box, [np.asarray(m, dtype=bool) for m in query.masks]
-    for mask in masks:
-        if mask.shape != frame.depth.shape:
-            raise InputError(
-                f"mask of '{query.object}'",
-                found=f"{mask.shape}",
-                expected=f"{frame.depth.shape}, the size of the frame",
-            )
     if box is None and masks:
         box = Box.of_mask(np.any(masks, axis=0))
     if box is None and query.prior is not None:
@@ -167,6 +161,17 @@ def _box_and_masks(
         with stage("masks"):
             masks = segmenter.segment(frame, box, model.diameter_m)
     return box, masks
+
+
+def check_masks(frame: RgbdFrame, query: ObjectQuery) -> None:
+    """Raises InputError if a mask of a query has not the size of the frame."""
+    for mask in query.masks:
+        if np.shape(mask) != frame.depth.shape:
+            raise InputError(
+                f"mask of '{query.object}'",
+                found=f"{np.shape(mask)}",
+                expected=f"{frame.depth.shape}, the size of the frame",
+            )
 
 
 def _found_by(
@@ -300,7 +305,9 @@ def believe(
     answer = _not_found(query, look.prior)
     if region is None or terms is None or present < least:
         total = float(ranked.totals[0]) if len(ranked) else 0.0
-        reason = why_absent(look, terms, present, least)
+        reason = (
+            why_unseen(query, look.box, frame.camera) if region is None else why_absent(terms, present, least)
+        )
         return replace(answer, score=total, terms=terms, reason=reason)
     chances = fit.probabilities(terms)
     T, alignment, mask = final_refinement(model, frame, region, se3.orthonormalised(ranked.poses[0]))

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from huepose.colorpair.opponents import unveiled
-from huepose.estimation.answer import answered, confirm, refine_prior
+from huepose.estimation.answer import answered, check_masks, confirm, refine_prior
 from huepose.estimation.apparent_size import looks, support
 from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.explanation import Explanation
@@ -115,6 +115,7 @@ class Estimator:
         for query in queries:
             require(query, ObjectQuery, "query", "an ObjectQuery", "Make one: ObjectQuery(name, box).")
             self._models[query.object]  # raises before any work is done
+            check_masks(frame, query)
         picture = frame
         if self.config.method == "full":
             with stage("veil"):

@@ -9,9 +9,11 @@ import numpy as np
 from huepose.believe.quality import QualityTerms, quality_fits
 from huepose.estimation.config import Method
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.types import PoseEstimate
+from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64
+from huepose.geometry.box import Box
+from huepose.geometry.camera import Camera
 from huepose.judge.terms import Terms, score
 from huepose.model.types import ReferenceModel
 
@@ -76,14 +78,23 @@ def _of_masks(mask: Bool | None, masks: Sequence[Bool]) -> list[str]:
     return [f"the masks show something else: {covering(best, mask, 'the pose')}"]
 
 
-def why_absent(explanation: Explanation, terms: QualityTerms | None, chance: float, least: float) -> str:
-    """Why no pose was found, in one sentence. terms: of the best pose, if there is one; chance: probability
-    that the object is there; least: the probability that is needed."""
-    box = explanation.box
-    if explanation.evidence is None and min(box.w, box.h) <= 0.0:
-        return f"The box is empty ({box.w:g} x {box.h:g} pixels), so there is nothing to look at."
-    if explanation.evidence is None:
+def why_unseen(query: ObjectQuery, box: Box, camera: Camera) -> str:
+    """Why there is nothing to look at for a query, in one sentence. box: where it was looked for; camera: of
+    the frame."""
+    if query.box is None and box.area == 0.0:
+        where = "masks are empty" if query.masks else "prior is outside of the image"
+    elif min(box.w, box.h) <= 0.0:
+        where = f"box is empty ({box.w:g} x {box.h:g} pixels)"
+    elif box.clipped(camera.width, camera.height).area == 0.0:
+        where = f"box is outside of the image ({camera.width} x {camera.height} pixels)"
+    else:
         return "There is no depth in the box, so there is nothing to look at."
+    return f"The {where}, so there is nothing to look at."
+
+
+def why_absent(terms: QualityTerms | None, chance: float, least: float) -> str:
+    """Why no pose was found where there is depth, in one sentence. terms: of the best pose, if there is one;
+    chance: probability that the object is there; least: the probability that is needed."""
     if terms is None:
         return "No view of the object resembles what is in the box."
     against = _of_terms(terms) or [f"the best pose scores {terms.total:.2f}"]

@@ -27,7 +27,7 @@ class ObjectQuery:
     """One object to look for: in a box, or in given candidate masks (H, W), with an optional prior.
 
     With neither box nor masks, the bounds of the prior's outline are the box; with nothing at all, InputError
-    is raised, as for a box of another type, a pose of another shape, or numbers that are not finite.
+    is raised, as for a box or prior of another type, a pose of another shape, or numbers that are not finite.
     `instance` is copied to the estimate. searched: the place is a proposal, and the object may not be there;
     the estimate then has the probability that it is there (`present`), and its quality is never higher.
     others: poses T_cam_obj (4, 4) of other instances of the object; this one is not searched there.
@@ -47,7 +47,11 @@ class ObjectQuery:
             require(self.box, Box, what, "a Box", fix)
             if not all(map(math.isfinite, self.box)):
                 raise InputError(what, found=str(self.box), expected="finite numbers", fix=fix)
-        poses = [("prior", self.prior.T_cam_obj)] if self.prior is not None else []
+        poses = []
+        if self.prior is not None:
+            what, fix = f"prior of '{self.object}'", "Make one: PosePrior(T_cam_obj)."
+            require(self.prior, PosePrior, what, "a PosePrior", fix)
+            poses = [("prior", self.prior.T_cam_obj)]
         for name, T in [*poses, *(("others", T) for T in self.others)]:
             if np.shape(T) != (4, 4) or not np.isfinite(T).all():
                 found = f"{np.shape(T)} numbers" if np.shape(T) != (4, 4) else "numbers that are not finite"

@@ -166,13 +166,17 @@ def test_an_object_that_cannot_be_seen_is_not_found(
     box = box_of(box_frame, tea_box, standing)
     behind = PosePrior(se3.make(np.eye(3), np.array([0.0, 0.0, -1.0])))
     millimetres = replace(box_frame, depth=box_frame.depth * np.float32(1000.0))
+    half = box_frame.without(np.indices(box_frame.depth.shape)[0] < 200)
     no_depth = "There is no depth in the box, so there is nothing to look at."
+    outside = "The box is outside of the image (640 x 480 pixels), so there is nothing to look at."
     for frame, query, why in (
         (blind, ObjectQuery("tea_box", box), "The frame has no depth (under 1 % of its pixels"),
         (blind, ObjectQuery("tea_box", box, prior=PosePrior(standing)), "The frame has no depth"),
         (millimetres, ObjectQuery("tea_box", box), "All depth is "),
-        (box_frame, ObjectQuery("tea_box", Box(-50, -50, 20, 20)), no_depth),
-        (box_frame, ObjectQuery("tea_box", prior=behind), "The box is empty (0 x 0 pixels), so"),
+        (half, ObjectQuery("tea_box", Box(20, 20, 30, 30)), no_depth),
+        (box_frame, ObjectQuery("tea_box", Box(-50, -50, 20, 20)), outside),
+        (box_frame, ObjectQuery("tea_box", prior=behind), "The prior is outside of the image, so"),
+        (box_frame, ObjectQuery("tea_box", masks=(np.zeros((480, 640), bool),)), "The masks are empty, so"),
         (box_frame, ObjectQuery("tea_box", Box(30, 30, 0, 20)), "The box is empty (0 x 20 pixels), so"),
     ):
         (answer,) = estimator.estimate(frame, [query])
@@ -192,6 +196,13 @@ def test_arguments_of_another_type_are_refused(
         ObjectQuery("tea_box", (1, 2, 3, 4))  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"box of 'tea_box': found Box\(x=nan.*; expected finite numbers"):
         ObjectQuery("tea_box", Box(float("nan"), 2, 3, 4))
+    with pytest.raises(
+        InputError, match=r"prior of 'tea_box': found ndarray; expected a PosePrior.*Make one"
+    ):
+        ObjectQuery("tea_box", prior=np.eye(4))  # type: ignore[arg-type]
+    small = ObjectQuery("tea_box", masks=(np.ones((240, 320), bool),), others=(standing,))
+    with pytest.raises(InputError, match=r"mask of 'tea_box': found \(240, 320\); expected \(480, 640\)"):
+        estimator.estimate(box_frame, [small])
     with pytest.raises(InputError, match=r"queries: found ObjectQuery; expected a list of ObjectQuery"):
         estimator.estimate(box_frame, query)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"query: found str; expected an ObjectQuery"):

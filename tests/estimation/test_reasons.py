@@ -18,7 +18,7 @@ from huepose.estimation.reasons import (
     why_absent,
 )
 from huepose.estimation.types import PoseEstimate
-from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.select.distinct import NONE, Ranked
 from tests.boxes import box_of
@@ -87,21 +87,16 @@ def test_without_depth_or_views_that_is_the_only_reason(
 def test_the_reason_for_an_absent_object_is_what_was_measured(
     looked: tuple[PoseEstimate, Explanation],
 ) -> None:
-    answer, explanation = looked
-    terms = answer.terms
+    terms = looked[0].terms
     assert terms is not None
     through = replace(terms, violation=0.35, color=0.12, seen=0.9, occluded=0.0, box_iou=0.8)
-    assert why_absent(explanation, through, 0.04, 0.12) == (
+    assert why_absent(through, 0.04, 0.12) == (
         "The object is not in this box (it is with a probability of 0.04; 0.12 is needed): depth shows what "
         "lies behind the object on 35 % of the pose, and the texture agrees little (correlation 0.12)."
     )
     poor = replace(terms, total=0.71, violation=0.0, color=0.5, seen=0.9, occluded=0.0, box_iou=0.8)
-    assert why_absent(explanation, poor, 0.04, 0.12).endswith("0.12 is needed): the best pose scores 0.71.")
-    assert why_absent(explanation, None, 0.0, 0.12).startswith("No view of the object")
-    blind = replace(explanation, evidence=None)
-    assert why_absent(blind, None, 0.0, 0.12).startswith("There is no depth")
-    empty = replace(blind, box=Box(3.0, 4.0, 0.0, 30.0))
-    assert why_absent(empty, None, 0.0, 0.12).startswith("The box is empty (0 x 30 pixels)")
+    assert why_absent(poor, 0.04, 0.12).endswith("0.12 is needed): the best pose scores 0.71.")
+    assert why_absent(None, 0.0, 0.12).startswith("No view of the object")
 
 
 def test_only_the_orientation_is_in_doubt_if_nothing_else_is(standing: np.ndarray) -> None:

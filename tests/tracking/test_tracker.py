@@ -143,6 +143,25 @@ def test_a_barely_visible_object_is_tracked_equally_long_at_any_frame_rate(
     assert 0.25 < given_up / per_frame / 30 < 0.34
 
 
+@pytest.mark.parametrize("per_frame", [1, 3])
+def test_the_velocity_of_an_unseen_object_decays_equally_fast_at_any_frame_rate(
+    tea_box, shoot, path, per_frame: int
+) -> None:
+    """To 0.85 a thirtieth of a second, at 30 and at 90 Hz."""
+    tracker, speeds = Tracker({"tea_box": tea_box}), []
+    for k in range(12 * per_frame):
+        at = k / per_frame
+        frame = shoot([(tea_box.mesh, path(at))] if at < 8 else [], k)
+        frame = replace(frame, stamp_ns=frame.stamp_ns // per_frame)
+        if k == 0:
+            tracker.correct(correction(frame, path(0)))
+        (pose,) = tracker.step(frame)
+        if at >= 8:
+            assert pose.velocity is not None
+            speeds.append(np.linalg.norm(pose.velocity[3:]))
+    assert speeds[-1] / speeds[per_frame - 1] == pytest.approx(0.85**3, rel=0.02)
+
+
 def test_an_object_taken_away_is_lost_until_it_is_back(tea_box, shoot, path, started) -> None:
     states = [started.step(shoot([], k))[0].state for k in range(6, 12)]
     assert states[1] is not State.TRACKING

@@ -24,11 +24,11 @@ the earth."""
 class RgbdFrame:
     """One rectified colour image with depth in its pixels.
 
-    color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 where there is no reading (NaN and infinite
-    numbers become 0); frame_id counts within a camera epoch; stamp_ns is the capture time on the monotonic
-    clock; T_parent_cam (4, 4): the pose of the camera at that time in a static frame, such as a robot's
-    base; None if it is not known. Raises InputError if sizes or types do not fit, or if T_parent_cam is not
-    a rigid transform.
+    color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 where there is no reading (NaN, infinite and
+    negative numbers become 0); frame_id counts within a camera epoch; stamp_ns is the capture time on the
+    monotonic clock; T_parent_cam (4, 4): the pose of the camera at that time in a static frame, such as a
+    robot's base; None if it is not known. Raises InputError if sizes or types do not fit, or if T_parent_cam
+    is not a rigid transform.
     """
 
     color: UInt8
@@ -95,8 +95,9 @@ class RgbdFrame:
         if not (self.depth.flags.c_contiguous and self.depth.flags.writeable):
             object.__setattr__(self, "depth", self.depth.copy())
         # Tests all readings without a temporary array.
-        if not (np.isfinite(self.depth.min()) and np.isfinite(self.depth.max())):
-            known = np.where(np.isfinite(self.depth), self.depth, np.float32(0.0))
+        if not (self.depth.min() >= 0.0 and np.isfinite(self.depth.max())):
+            read = np.isfinite(self.depth) & (self.depth > 0.0)
+            known = np.where(read, self.depth, np.float32(0.0))
             object.__setattr__(self, "depth", known)
 
     def seen_from(self, T_parent_cam: Float64 | None) -> RgbdFrame:

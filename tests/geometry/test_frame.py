@@ -23,6 +23,13 @@ def test_nan_and_infinite_depth_become_missing_depth(nothing: float) -> None:
     np.testing.assert_array_equal(given, kept)
 
 
+def test_negative_depth_becomes_missing_depth() -> None:
+    given = np.full((6, 8), 0.7, np.float32)
+    given[2, 3:5] = -1.0
+    expected = np.where(given > 0.0, given, 0.0)
+    np.testing.assert_array_equal(RgbdFrame(COLOR, given, CAMERA).depth, expected)
+
+
 def test_finite_depth_is_taken_as_it_is() -> None:
     given = np.full((6, 8), 0.7, np.float32)
     assert RgbdFrame(COLOR, given, CAMERA).depth is given

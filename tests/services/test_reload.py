@@ -183,15 +183,19 @@ def test_after_a_restart_missing_objects_of_the_file_are_added_when_it_is_read_a
     assert {e.object for e in work._objects.entries()} == {"mug", "jar", "lid"}
 
 
-def test_closing_the_terminal_ends_the_process():
-    code = (
-        "import signal, time; from huepose_services.runtime.reload import asked_again\n"
+@pytest.mark.parametrize(
+    ("before", "code"), [("SIG_DFL", -signal.SIGTERM), ("SIG_IGN", 0)], ids=["terminal", "nohup"]
+)
+def test_closing_the_terminal_ends_the_process_unless_it_runs_under_nohup(before, code):
+    program = (
+        f"import signal, time; signal.signal(signal.SIGHUP, signal.{before})\n"
+        "from huepose_services.runtime.reload import asked_again\n"
         "again = asked_again(); signal.raise_signal(signal.SIGHUP); assert again() and not again()\n"
-        "print('reads again', flush=True)\nwhile True: time.sleep(0.1)"
+        "print('reads again', flush=True)\nwhile not again(): time.sleep(0.1)"
     )  # one long sleep would not see a signal that comes right before it
     pid, terminal = pty.fork()
     if pid == 0:
-        os.execv(sys.executable, [sys.executable, "-c", code])
+        os.execv(sys.executable, [sys.executable, "-c", program])
     said = b""
     while b"reads again" not in said:
         said += os.read(terminal, 1000)
@@ -200,7 +204,7 @@ def test_closing_the_terminal_ends_the_process():
     while (ended := os.waitpid(pid, os.WNOHANG))[0] == 0:
         assert time.monotonic() < deadline
         time.sleep(0.05)
-    assert os.waitstatus_to_exitcode(ended[1]) == -signal.SIGTERM
+    assert os.waitstatus_to_exitcode(ended[1]) == code
 
 
 @pytest.mark.live

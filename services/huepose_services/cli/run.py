@@ -36,7 +36,8 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.runtime.config import WORKERS, load
 
     # A request to reload that comes during the start is not needed: the file is still to be read.
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # what nohup has set tells `asked_again`
+        signal.signal(signal.SIGHUP, lambda *_: None)
     config = load(arguments.config, camera or None).beside(worker)
     if worker not in WORKERS:
         raise InputError(

@@ -39,8 +39,8 @@ TakeOver = Callable[[Config], list[str]]
 
 def asked_again() -> Callable[[], bool]:
     """From now on SIGHUP does not end this process: the returned function says whether one came since its
-    last call. But a SIGHUP because the terminal was closed acts as SIGTERM."""
-    came, had_terminal = False, _has_terminal()
+    last call. But a SIGHUP because the terminal was closed acts as SIGTERM, unless nohup ignores it."""
+    came, had_terminal = False, signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN and _has_terminal()
 
     def note(number: int, frame: FrameType | None) -> None:
         nonlocal came

@@ -190,6 +190,15 @@ def test_an_object_s_name_stands_for_its_poses(given, meant):
     assert build_parser().parse_args(["poses"]).key == "pose/**"
 
 
+@pytest.mark.parametrize("text", ["", "pose//mug", "/mug", "mug/", "#", "mug?"])
+def test_a_text_that_cannot_be_a_key_is_refused(text, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["poses", text])
+    assert ended.value.code == 2
+    assert f"found '{text}', expected an object's name, or a key such as pose/**" in capsys.readouterr().err
+    assert build_parser().parse_args(["poses", "**/**"]).key == "**", "but keys are put in order"
+
+
 def test_keys_that_could_be_an_object_s_name_stay_keys():
     keys = Keys("lab", "cam0")
     tails = {tail_of(getattr(keys, name)) for name, key in vars(Keys).items() if hasattr(key, "_tail")}

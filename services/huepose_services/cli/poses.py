@@ -163,14 +163,23 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _key(text: str) -> str:
-    """The key for the first argument; a name that is not a key means the poses of that object.
+    """The key for the first argument; a name that is not a key means the poses of that object. Raises
+    ArgumentTypeError for a text that cannot be a key.
 
     >>> _key("mug"), _key("objects"), _key("pose/mug/0")
     ('pose/mug/**', 'objects', 'pose/mug/0')
     """
+    import zenoh
+
     from huepose_protos.fields import is_name
 
-    return f"pose/{text}/**" if is_name(text) and text not in _NAMES else text
+    if is_name(text) and text not in _NAMES:
+        return f"pose/{text}/**"
+    try:
+        return str(zenoh.KeyExpr.autocanonize(text))
+    except zenoh.ZError:
+        expected = "an object's name, or a key such as pose/** or objects"
+        raise argparse.ArgumentTypeError(f"found '{text}', expected {expected}") from None
 
 
 def call(arguments: argparse.Namespace) -> int:

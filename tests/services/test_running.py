@@ -145,6 +145,9 @@ def test_a_port_that_is_taken_is_explained(runtime_folder):
         text = '{"base_port": 18200, "site": "h", "camera": "c", "workers": ["tracker"], "file": "/h.yaml"}'
         (runtime_folder / f"{os.getppid()}.json").write_text(text)
         assert occupant(config, "tracker") == "the tracker of h/c there, which runs already (/h.yaml)"
+        near = Config(bus=BusConfig(base_port=18201))
+        assert occupant(near, "camera") == "the tracker of h/c there, which runs already (/h.yaml)"
+        assert occupant(near, "tracker") == "another program there"
         played = text.replace("/h.yaml", "/h.mcap").replace('"tracker"', "")
         (runtime_folder / f"{os.getppid()}.json").write_text(played)
         assert occupant(config, "tracker") == "a recording there that is played (/h.mcap)"

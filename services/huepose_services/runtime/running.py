@@ -153,13 +153,15 @@ def namesake(pipeline: Pipeline) -> str | None:
 
 def occupant(config: Config, worker: str) -> str:
     """Who holds a worker's port that is taken, in words: a noted pipeline, else another program."""
-    others = (p for p in running(without_this=True) if p.base_port == config.bus.base_port)
-    other = next(others, None)
-    if other is not None and other.recorded:
-        return f"a recording there that is played ({other.file})"
-    if other is None or worker not in other.workers:
-        return "another program there"
-    return f"the {worker} of {other.name} there, which runs already ({other.file})"
+    for other in running(without_this=True):
+        place = config.port(worker) - other.base_port
+        if not 0 <= place < len(WORKERS):
+            continue
+        if other.recorded:
+            return f"a recording there that is played ({other.file})"
+        if WORKERS[place] in other.workers and WORKERS[place] not in other.far:
+            return f"the {WORKERS[place]} of {other.name} there, which runs already ({other.file})"
+    return "another program there"
 
 
 def port_taken(config: Config, worker: str, found: str = "") -> InputError:
@@ -168,7 +170,8 @@ def port_taken(config: Config, worker: str, found: str = "") -> InputError:
         f"port {config.port(worker)} of worker {worker}",
         found=found or occupant(config, worker),
         expected=f"that nobody listens there (in {run_folder()})",
-        fix="Stop the other pipeline, or give a configuration with another bus.base_port.",
+        fix="Stop the other pipeline, or give a configuration with another bus.base_port, "
+        f"{len(WORKERS)} or more away.",
     )
 
 

@@ -184,6 +184,14 @@ GOOD = "camera: {truth: true}\n"
         ),
         ("site: a\nbus: {}\nsite: b", ["line 3, column 1", "'site' a second time"]),
         ("camera: {seed: 1, seed: 2}", ["line 1", "'seed' a second time"]),
+        (
+            "objects: !include o.yaml",
+            ["line 1", "'!include'). Templates (`{{ }}`) and tags"],
+        ),
+        (
+            "site: {{ site }}",
+            ["line 1", "(found unhashable key). Templates (`{{ }}`) and"],
+        ),
     ],
 )
 def test_an_error_names_path_value_and_what_is_allowed(text, parts):

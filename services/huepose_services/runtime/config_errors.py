@@ -18,6 +18,8 @@ import yaml
 from huepose.support.errors import InputError
 from huepose.support.words import did_you_mean
 
+_TWICE = " a second time"
+
 
 class _Loader(yaml.SafeLoader):
     """Unlike YAML itself, refuses a key that is there twice, and reads 1e-4 as a number."""
@@ -27,7 +29,7 @@ class _Loader(yaml.SafeLoader):
         for key, _ in node.value:
             name = str(key.value)
             if name in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"'{name}' a second time", key.start_mark)
+                raise yaml.constructor.ConstructorError(None, None, f"'{name}'{_TWICE}", key.start_mark)
             seen.add(name)
         return super().construct_mapping(node, deep)
 
@@ -43,13 +45,15 @@ def read_yaml(text: str, path: Path) -> Any:
     except yaml.YAMLError as error:
         mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
         at = f", line {mark.line + 1}, column {mark.column + 1}" if mark is not None else ""
-        twice = isinstance(error, yaml.constructor.ConstructorError)
+        twice = (problem or "").endswith(_TWICE)
         said = (problem or " ".join(str(error).split())).replace("\t", "\\t")
         fix = "Indent with spaces, not with tabs." if "\\t" in said else ""
         if "<stream end>" in said:
             fix = "A bracket, a brace or a quotation mark before is not closed."
         elif said.startswith("expected <block end>, but found '<block "):
             fix = "Look at the indentation of that line and the one before."
+        elif said.startswith(("could not determine a constructor", "found unhashable key")):
+            fix = "Templates (`{{ }}`) and tags (`!include`) are not filled in here: write the values."
         raise InputError(
             f"configuration {path}{at}",
             found=said if twice else f"no valid YAML ({said})",

@@ -339,6 +339,18 @@ def test_validate_says_where_each_camera_is_reached(tmp_path: Path, printed: Say
     assert said[1][3:5] == ["viewer.web_port", "127.0.0.1:9091,"]
 
 
+@pytest.mark.parametrize("line", [["validate"], ["status", "--json", "--config"]], ids=["text", "json"])
+def test_a_path_in_another_encoding_is_printed_with_escapes(line: list[str], tmp_path: Path) -> None:
+    path = tmp_path / "caf\udce9.yaml"
+    path.write_text("bus: {base_port: 18200}")
+    program = [sys.executable, "-m", "huepose_services.cli.main", *line, os.fsencode(path)]
+    # As in a locale such as en_US.UTF-8; Python escapes by itself in C.UTF-8.
+    strict = os.environ | {"PYTHONIOENCODING": "utf-8:strict"}
+    done = subprocess.run(program, env=strict, capture_output=True, text=True, timeout=120.0)
+    assert (done.returncode, done.stderr) == (1 if "--json" in line else 0, "")
+    assert "caf\\udce9.yaml" in done.stdout.replace("\\\\", "\\")
+
+
 def test_ctrl_c_while_a_command_line_is_parsed_gives_no_traceback(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import errno
+import io
 import os
 import sys
 from contextlib import AbstractContextManager, ExitStack, nullcontext, redirect_stderr, redirect_stdout
@@ -184,6 +185,9 @@ def _interrupted(what: str) -> int:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command line; returns the exit code."""
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        # As on stderr: a path in another encoding is printed with escapes.
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         parsed = _parsed(arguments)
     except KeyboardInterrupt:

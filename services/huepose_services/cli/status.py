@@ -72,9 +72,11 @@ def call_again(arguments: argparse.Namespace) -> int:
 def _as_json(view: View) -> str:
     import msgspec
 
+    from huepose_services.runtime.text import encodable
+
     return msgspec.json.encode(
         {
-            "pipeline": view.pipeline,
+            "pipeline": msgspec.structs.replace(view.pipeline, file=encodable(view.pipeline.file)),
             "running": view.seen,
             "played": view.pipeline.played,
             "well": view.well,

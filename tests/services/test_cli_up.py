@@ -2,7 +2,10 @@
 
 import argparse
 import json
+import signal
 import threading
+
+import pytest
 
 from huepose_services.cli import up
 from huepose_services.runtime import prepare, reload, supervisor
@@ -51,3 +54,28 @@ def test_a_camera_that_is_added_to_the_file_is_reported_as_waiting(tmp_path, mon
     said = capsys.readouterr().err
     assert "cameras that wait for the next start: top" in said
     assert said.count("wait for the next start") == 1
+
+
+@pytest.mark.usefixtures("same_handlers")
+def test_a_request_to_read_the_file_again_does_not_end_the_preparation(tmp_path, monkeypatch):
+    ended, read = [], []
+
+    class Asked(supervisor.Supervisor):
+        def start(self):
+            pass
+
+        def poll(self, timeout_s=0.1):
+            self.exit_code = 0
+
+        def reload(self):
+            read.append(self)
+
+    monkeypatch.setattr(supervisor, "Supervisor", Asked)
+    monkeypatch.setattr(prepare, "prepare", lambda config: signal.raise_signal(signal.SIGHUP))
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path / "run"))
+    path = tmp_path / "pipeline.yaml"
+    path.write_text("camera: {name: cam0}")
+    signal.signal(signal.SIGHUP, lambda *_: ended.append("the default ends the process"))
+    assert up.call(argparse.Namespace(config=path, host=None)) == 0
+    assert ended == []
+    assert len(read) == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import signal
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,6 +38,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.runtime.running import described, namesake, noted
     from huepose_services.runtime.supervisor import Supervisor
 
+    again = asked_again()  # from now on: a request that comes during the preparation must not end it
     configs = [config.at(arguments.host) for config in load_all(arguments.config)]
     with ExitStack() as notes:
         # Before the preparation, which may take minutes: other commands then know that it is starting.
@@ -47,7 +49,9 @@ def call(arguments: argparse.Namespace) -> int:
             prepare(config)
             if (warning := namesake(pipeline)) is not None:
                 say(warning)
-        stopping, again = catch_stop_signals(), asked_again()
+        reads_again = signal.getsignal(signal.SIGHUP)
+        stopping = catch_stop_signals()
+        signal.signal(signal.SIGHUP, reads_again)
         supervisors = [
             Supervisor(config, arguments.config, of=config.camera.name if len(configs) > 1 else None)
             for config in configs

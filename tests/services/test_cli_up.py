@@ -8,7 +8,7 @@ import threading
 import pytest
 
 from huepose_services.cli import up
-from huepose_services.runtime import prepare, reload, supervisor
+from huepose_services.runtime import prepare, reload, running, supervisor
 
 
 def test_the_workers_of_all_cameras_are_stopped_at_the_same_time(tmp_path, monkeypatch):
@@ -79,3 +79,23 @@ def test_a_request_to_read_the_file_again_does_not_end_the_preparation(tmp_path,
     assert up.call(argparse.Namespace(config=path, host=None)) == 0
     assert ended == []
     assert len(read) == 1
+
+
+def test_its_own_lines_are_in_the_form_of_the_log(tmp_path, monkeypatch, capsys):
+    class Ended(supervisor.Supervisor):
+        def start(self):
+            self.exit_code = 0
+
+    monkeypatch.setattr(supervisor, "Supervisor", Ended)
+    monkeypatch.setattr(prepare, "prepare", lambda config: None)
+    monkeypatch.setattr(reload, "asked_again", lambda: lambda: False)
+    monkeypatch.setattr(running, "namesake", lambda pipeline: "another one has the same name")
+    monkeypatch.setattr(up, "catch_stop_signals", lambda: lambda: True)
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path / "run"))
+    monkeypatch.setenv("HUEPOSE_LOG", "json")
+    path = tmp_path / "pipeline.yaml"
+    path.write_text("camera: {name: cam0}")
+    assert up.call(argparse.Namespace(config=path, host=None)) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
+    said = [(line["level"], line["worker"], line["text"]) for line in lines]
+    assert said == [("warn", "huepose", "another one has the same name"), ("info", "huepose", "stopped")]

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
 from huepose.support.words import listed
-from huepose_services.cli.options import add_host, add_pipeline, catch_stop_signals, say
+from huepose_services.cli.options import add_host, add_pipeline, catch_stop_signals
 
 if TYPE_CHECKING:
     from huepose_services.runtime.config import Config
+    from huepose_services.runtime.log import Log
     from huepose_services.runtime.supervisor import Supervisor
 
 BAD_INPUT = 2
@@ -32,12 +33,14 @@ def call(arguments: argparse.Namespace) -> int:
     from concurrent.futures import ThreadPoolExecutor
 
     from huepose_services.runtime.config import load_all
+    from huepose_services.runtime.log import Log
     from huepose_services.runtime.prepare import prepare
     from huepose_services.runtime.pulse import notify
     from huepose_services.runtime.reload import asked_again
     from huepose_services.runtime.running import described, namesake, noted
     from huepose_services.runtime.supervisor import Supervisor
 
+    log = Log("huepose")
     again = asked_again()  # from now on: a request that comes during the preparation must not end it
     configs = [config.at(arguments.host) for config in load_all(arguments.config)]
     with ExitStack() as notes:
@@ -48,7 +51,7 @@ def call(arguments: argparse.Namespace) -> int:
         for config, pipeline in zip(configs, pipelines, strict=True):
             prepare(config)
             if (warning := namesake(pipeline)) is not None:
-                say(warning)
+                log.warn(warning)
         reads_again = signal.getsignal(signal.SIGHUP)
         stopping = catch_stop_signals()
         signal.signal(signal.SIGHUP, reads_again)
@@ -67,7 +70,7 @@ def call(arguments: argparse.Namespace) -> int:
                     if asked:
                         supervisor.reload()
                 if asked:
-                    _report_new_cameras(arguments.config, configs)
+                    _report_new_cameras(log, arguments.config, configs)
                 if not notified and all(supervisor.ready for supervisor in supervisors):
                     notified = True
                     notify("READY=1")
@@ -77,15 +80,14 @@ def call(arguments: argparse.Namespace) -> int:
             with ThreadPoolExecutor(len(supervisors)) as pool:
                 list(pool.map(Supervisor.stop, supervisors))
     if stopping():
-        say("stopped")
+        log.say("stopped")
     return max(supervisor.exit_code or 0 for supervisor in supervisors)
 
 
-def _report_new_cameras(path: Path, configs: list[Config]) -> None:
+def _report_new_cameras(log: Log, path: Path, configs: list[Config]) -> None:
     """Log which cameras of the file, which was read again, run only after the next start. configs: those
     that run; their supervisors report all else that waits."""
     from huepose_services.runtime.config import load_all
-    from huepose_services.runtime.log import Log
 
     try:
         now = [config.camera.name for config in load_all(path)]
@@ -93,7 +95,7 @@ def _report_new_cameras(path: Path, configs: list[Config]) -> None:
         return
     new = sorted(set(now) - {config.camera.name for config in configs})
     if new and len(now) > 1:
-        Log("huepose").warn(f"cameras that wait for the next start: {listed(new)}")
+        log.warn(f"cameras that wait for the next start: {listed(new)}")
 
 
 def _go_on(supervisors: list[Supervisor]) -> bool:

@@ -48,6 +48,8 @@ def test_if_the_demo_fails_the_last_error_of_the_log_is_quoted():
     log = "10:00:00.000 info  tracker   ready\n10:00:01.000 error segmenter no memory\n  File x\n"
     assert _complaints(log) == "\n10:00:01.000 error segmenter no memory"
     assert _complaints("") == ""
+    said = '{"time": 1.5, "level": "error", "worker": "segmenter", "text": "no memory"}'
+    assert _complaints(f"{said.replace('error', 'info')}\n{said}\n") == f"\n{said}", "with HUEPOSE_LOG=json"
 
 
 @pytest.mark.parametrize("segmenter", ["depth", "sam"])

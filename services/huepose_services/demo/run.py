@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import sys
 import tempfile
@@ -34,6 +35,8 @@ _READY_WITHIN_S = 300.0
 _FIRST_FRAME_WITHIN_S = 30.0
 # The last frames of a run are not counted: some are still in work when it ends.
 _LEFT_OUT_NS = SECOND // 2
+_COMPLAINT = re.compile(r'\S+ (warn|error) |\{"time": \S+ "level": "(warn|error)"')
+"""The beginning of a warning or an error in a log, as text or as JSON."""
 _COMPLAINTS = 3
 """Last warnings and errors of the log that are printed if the demo fails; the reason is among them."""
 
@@ -107,7 +110,7 @@ def run_demo(pipeline: Mapping[str, Any], seconds: float, live: bool) -> dict[st
 
 def _complaints(log: str) -> str:
     """The last warnings and errors of a log, each on a line; empty if there are none."""
-    said = [line for line in log.splitlines() if line.split()[1:2] in (["warn"], ["error"])]
+    said = [line for line in log.splitlines() if _COMPLAINT.match(line)]
     return "".join(f"\n{line}" for line in said[-_COMPLAINTS:])
 
 

@@ -351,6 +351,15 @@ def test_a_path_in_another_encoding_is_printed_with_escapes(line: list[str], tmp
     assert "caf\\udce9.yaml" in done.stdout.replace("\\\\", "\\")
 
 
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+def test_a_command_works_without_its_standard_streams(closed: str, tmp_path: Path) -> None:
+    for line, code in ((["models", "list"], 0), (["status", "--config", tmp_path / "none.yaml"], 2)):
+        program = [sys.executable, "-m", "huepose_services.cli.main", *line]
+        shell = ["bash", "-c", f'exec "$@" {closed}', "bash", *program]
+        done = subprocess.run(shell, capture_output=True, text=True, timeout=120.0)
+        assert (done.returncode, "Traceback" in done.stderr) == (code, False)
+
+
 def test_ctrl_c_while_a_command_line_is_parsed_gives_no_traceback(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -192,10 +192,24 @@ class Client:
         self.close()
 
 
+_ALL_LIVE = "huepose/*/*/live/*"
+
+
+def _live_beside(key: str) -> str:
+    """The expression for the workers of the pipelines that a key is of.
+
+    >>> _live_beside("huepose/lab/cam0/pose/**"), _live_beside("huepose/**")
+    ('huepose/lab/cam0/live/*', 'huepose/*/*/live/*')
+    """
+    names = key.split("/")[1:3]
+    return _ALL_LIVE if len(names) < 2 or "**" in names else f"huepose/{'/'.join(names)}/live/*"
+
+
 class Reader(Client):
     """Messages on key expressions from workers, or a gateway, at the given endpoints, as soon as these can
     be reached. The files are those of `open_session`.
 
+    Only workers of the pipelines that the keys name count, not those of another one at ports beside.
     `seen`: whether a worker was there since the start; `live`: keys of the workers that are there now;
     `gone_since`: when the last of them ended (time.monotonic), None while one is there. A gateway shows
     none of this. `missed`: messages that were dropped, the oldest first, because `next` was not called for
@@ -219,7 +233,8 @@ class Reader(Client):
         self._keys, self._heard = keys, set[str]()
         super().__init__(open_session(endpoints, authority, certificate, key))
         tokens = self._session.liveliness().declare_subscriber
-        self._listen(tokens, "huepose/*/*/live/*", self._on_token, history=True)
+        for expression in {_live_beside(key) for key in keys} or {_ALL_LIVE}:
+            self._listen(tokens, expression, self._on_token, history=True)
         for expression in keys:
             self._listen(self._session.declare_subscriber, expression, self._on_sample)
 

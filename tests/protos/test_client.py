@@ -5,6 +5,7 @@ import os
 import re
 import threading
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -214,3 +215,25 @@ def test_the_page_reads_poses_of_two_cameras_in_the_frame_of_the_robot(monkeypat
         "left_color_optical mug (1.1, 0.0, 0.5)",
         "right_color_optical mug (9.2, 0.0, 0.5)",
     ]
+
+
+def test_workers_of_another_pipeline_at_the_next_ports_do_not_count(tmp_path):
+    """Two pipelines of six workers may have ports that are six apart; each is looked for at eleven."""
+    places = [endpoint(number, tmp_path) for number in (1, 7)]
+    with ExitStack() as around:
+        tokens = []
+        for place, site in zip(places, ("lab", "hall"), strict=True):
+            session = around.enter_context(zenoh.open(peer([], [place])))
+            tokens.append(session.liveliness().declare_token(f"huepose/{site}/cam0/live/tracker"))
+        every = around.enter_context(Reader(places, "huepose/*/*/health/*"))
+        mine = around.enter_context(Reader(places, "huepose/lab/cam0/health/*", "huepose/lab/cam0/objects"))
+        deadline = time.monotonic() + 10.0
+        while not (len(every.live) == 2 and mine.seen):
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        assert mine.live == {"huepose/lab/cam0/live/tracker"}
+        tokens[0].undeclare()
+        while mine.gone_since is None:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        assert (mine.live, every.live) == (set(), {"huepose/hall/cam0/live/tracker"})

@@ -260,7 +260,7 @@ def wait_for_pipeline(
     if pipeline.noted:
         return False
     say_at = time.monotonic() + _SAY_WAITING_AFTER_S
-    with Reader(pipeline.endpoints) as reader:
+    with Reader(pipeline.endpoints, pipeline.key("live/*")) as reader:
         while not (stopping() or reader.seen or time.monotonic() > until_s):
             if chosen(arguments, tell=False).noted:
                 break

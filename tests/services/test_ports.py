@@ -1,4 +1,6 @@
 import socket
+import tempfile
+from pathlib import Path
 
 import pytest
 
@@ -34,3 +36,16 @@ def test_ports_in_use_are_skipped(tmp_path, monkeypatch):
         second = free_ports(3)
         assert second > first
     assert free_ports(3) == first, "the port of a socket whose process has ended is free"
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("caf\udce9", "characters"), ("a?b", "characters"), ("a#b", "characters"), ("漢" * 30, "of 1.. bytes")],
+)
+def test_a_folder_whose_sockets_would_have_no_address_is_refused(name, said, monkeypatch):
+    with tempfile.TemporaryDirectory() as folder:  # its path is short
+        monkeypatch.setenv("HUEPOSE_RUN", str(Path(folder) / name))
+        with pytest.raises(InputError, match=f"a path .*{said}"):
+            make_folder()
+        monkeypatch.setenv("HUEPOSE_RUN", str(Path(folder) / "é ü"))
+        assert make_folder().is_dir()

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from huepose.support.errors import InputError
 from huepose_protos.local import FOLDER, run_folder
+from huepose_services.runtime.text import encodable
 
 SYSTEM_FOLDER = Path("/run/huepose")
 _LONGEST_PATH = 100
@@ -38,8 +39,11 @@ def make_folder() -> Path:
             folder.chmod(0o700)
     except OSError as error:
         found = error.strerror or str(error)
-    if len(str(folder)) > _LONGEST_PATH - len("/65535"):
-        found = f"a path of {len(str(folder))} bytes, which is too long for sockets"
+    path = os.fsencode(folder)
+    if len(path) > _LONGEST_PATH - len("/65535"):
+        found = f"a path of {len(path)} bytes, which is too long for sockets"
+    elif encodable(str(folder)) != str(folder) or {"?", "#"} & set(str(folder)):  # zenoh's separators
+        found = "a path with characters that the address of a socket cannot have"
     if found or not is_private(folder):
         raise InputError(
             f"folder {folder} for the workers' sockets",

@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import pytest
 
 from huepose_services.runtime.config import Config, RestartConfig
+from huepose_services.runtime.log import Log
 from huepose_services.runtime.supervisor import Child, Supervisor
 
 LIMITS = RestartConfig(start_within_s=10.0, hung_after_s=2.0, window_s=60.0)
@@ -130,6 +131,19 @@ def test_the_reason_why_a_worker_has_ended_is_logged_as_its_error(monkeypatch):
     child._copy_log()
     said = [line.split(maxsplit=1)[1] for line in child._out.getvalue().splitlines()]
     assert said == ["warn  camera    of a library", "error camera    desk/rgb: found no folder."]
+
+
+def test_lines_of_workers_have_their_levels_in_the_journal(monkeypatch, capsys):
+    monkeypatch.delenv("HUEPOSE_LOG", raising=False)
+    Log("left/estimator").error("it broke\n  in a line")
+    Log("camera").say("ready")
+    monkeypatch.setattr("huepose_services.runtime.log._to_journal", lambda: True)
+    child = object.__new__(Child)
+    child._log_name, child._out = "camera", io.StringIO()
+    child.process = SimpleNamespace(stdout=capsys.readouterr().err.encode().splitlines(keepends=True))
+    child._copy_log()
+    said = ["<3>left/estimator: it broke", "<3>left/estimator:   in a line", "<6>camera: ready"]
+    assert child._out.getvalue().splitlines() == said
 
 
 @pytest.fixture

@@ -171,6 +171,16 @@ def is_log_line(line: str) -> bool:
     return _OWN_LINE.match(line) is not None
 
 
+def relayed(line: str) -> str:
+    """A line that the Log of a worker wrote into a pipe, in the form for this process's stderr."""
+    match = _OWN_LINE.match(line)
+    if match is None or match[1] is None or not _to_journal():
+        return line
+    rest = line[match.end() :]
+    worker = rest.partition(" ")[0]
+    return f"{_JOURNAL[match[1].strip()]}{worker}: {rest[max(9, len(worker)) + 1 :]}"
+
+
 @cache
 def _to_journal() -> bool:
     """Whether stderr is the stream that systemd connected to its journal (JOURNAL_STREAM)."""

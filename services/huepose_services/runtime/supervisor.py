@@ -24,7 +24,7 @@ import msgspec
 
 from huepose.support.words import listed
 from huepose_services.runtime.config import Config
-from huepose_services.runtime.log import Log, is_log_line, write
+from huepose_services.runtime.log import Log, is_log_line, relayed, write
 from huepose_services.runtime.pulse import COMPILING, READY_FD
 from huepose_services.runtime.reload import Reload
 from huepose_services.runtime.session import RESTARTS
@@ -131,14 +131,14 @@ class Child:
             raise
 
     def _copy_log(self) -> None:
-        """Copy its log lines as they are, lines of libraries as lines of the worker with repeats held back,
+        """Copy its log lines, lines of libraries as lines of the worker with repeats held back,
         and the reason of its end as an error."""
         assert self.process.stdout is not None
         foreign = Log(self._log_name, self._out)
         for raw in self.process.stdout:
             line = raw.decode(errors="replace")
             if is_log_line(line):
-                write(self._out, line)
+                write(self._out, relayed(line))
             elif line.startswith(_WHY_IT_ENDED):
                 foreign.error(line.removeprefix(_WHY_IT_ENDED).rstrip())
             elif line.strip():

@@ -351,6 +351,16 @@ def test_a_path_in_another_encoding_is_printed_with_escapes(line: list[str], tmp
     assert "caf\\udce9.yaml" in done.stdout.replace("\\\\", "\\")
 
 
+@pytest.mark.usefixtures("same_handlers")
+def test_a_worker_of_a_camera_that_the_file_lacks_does_not_run_for_another(
+    tmp_path: Path, refused: Says
+) -> None:
+    path = tmp_path / "pipeline.yaml"
+    path.write_text("workers: [tracker]\ncameras: [{name: left}]\nbus: {base_port: 18200}")
+    said = refused(["run", "right.any", path])
+    assert "pipeline.yaml: camera right: found only the camera left; expected one of that name." in said
+
+
 @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
 def test_a_command_works_without_its_standard_streams(closed: str, tmp_path: Path) -> None:
     for line, code in ((["models", "list"], 0), (["status", "--config", tmp_path / "none.yaml"], 2)):

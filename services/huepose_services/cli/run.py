@@ -39,6 +39,12 @@ def call(arguments: argparse.Namespace) -> int:
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # what nohup has set tells `asked_again`
         signal.signal(signal.SIGHUP, lambda *_: None)
     config = load(arguments.config, camera or None).beside(worker)
+    if camera and config.camera.name != camera:  # `load` allows another name for the only camera of a file
+        raise InputError(
+            f"{arguments.config}: camera {camera}",
+            found=f"only the camera {config.camera.name}",
+            expected="one of that name",
+        )
     if worker not in WORKERS:
         raise InputError(
             f"worker '{worker}'", found="no such worker", expected=f"one of {', '.join(WORKERS)}"

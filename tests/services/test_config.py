@@ -189,6 +189,10 @@ GOOD = "camera: {truth: true}\n"
             ["line 1", "'!include'). Templates (`{{ }}`) and tags"],
         ),
         (
+            "objects: !!set {mug, jar}",
+            ["line 1", "2002:set'). Templates (`{{ }}`) and tags"],
+        ),
+        (
             "site: {{ site }}",
             ["line 1", "(found unhashable key). Templates (`{{ }}`) and"],
         ),

@@ -35,6 +35,14 @@ class _Loader(yaml.SafeLoader):
 
 
 _SCIENTIFIC = re.compile(r"[-+]?([0-9]{1,17}\.?[0-9]{0,17}|\.[0-9]{1,17})[eE][-+]?[0-9]{1,2}$")
+
+
+def _refused(loader: _Loader, node: yaml.Node) -> None:
+    loader.construct_undefined(node)
+
+
+for _tag in ("set", "omap", "pairs", "binary"):  # of which no key has values
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _refused)
 _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _SCIENTIFIC, list("-+.0123456789"))
 
 

@@ -361,15 +361,6 @@ def test_a_worker_of_a_camera_that_the_file_lacks_does_not_run_for_another(
     assert "pipeline.yaml: camera right: found only the camera left; expected one of that name." in said
 
 
-@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
-def test_a_command_works_without_its_standard_streams(closed: str, tmp_path: Path) -> None:
-    for line, code in ((["models", "list"], 0), (["status", "--config", tmp_path / "none.yaml"], 2)):
-        program = [sys.executable, "-m", "huepose_services.cli.main", *line]
-        shell = ["bash", "-c", f'exec "$@" {closed}', "bash", *program]
-        done = subprocess.run(shell, capture_output=True, text=True, timeout=120.0)
-        assert (done.returncode, "Traceback" in done.stderr) == (code, False)
-
-
 def test_ctrl_c_while_a_command_line_is_parsed_gives_no_traceback(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -434,17 +425,17 @@ def test_the_command_is_the_entry_that_catches_ctrl_c_in_imports() -> None:
     assert f'huepose = "{entry.__name__}:main"' in said
 
 
-@pytest.mark.parametrize("closed", [1, 2])
-def test_a_command_works_if_who_started_it_closed_an_output(closed: int) -> None:
+@pytest.mark.parametrize("closed", ["1>&-", "2>&-", "1>&- 2>&-"])
+def test_a_command_works_if_who_started_it_closed_an_output(closed: str) -> None:
     start = "import sys; from huepose_services.cli.entry import main; sys.exit(main())"
     ran = subprocess.run(
-        ["sh", "-c", f'"$0" "$@" {closed}>&-', sys.executable, "-c", start, "models", "list"],
+        ["sh", "-c", f'"$0" "$@" {closed}', sys.executable, "-c", start, "models", "list"],
         check=False,
         capture_output=True,
         text=True,
     )
     assert (ran.returncode, ran.stderr) == (0, "")
-    assert ("yolox-nano" in ran.stdout) == (closed == 2)
+    assert ("yolox-nano" in ran.stdout) == (closed == "2>&-")
 
 
 def test_progress_is_silent_if_the_error_output_is_closed() -> None:

@@ -185,9 +185,6 @@ def _interrupted(what: str) -> int:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command line; returns the exit code."""
-    for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # the program that started this one has closed it
-            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
         # As on stderr: a path in another encoding is printed with escapes.
         sys.stdout.reconfigure(errors="backslashreplace")

@@ -153,9 +153,8 @@ def _mended(at: str, found: Any, kind: Any) -> str:
             return f"Write {{{key}: {found}}} there, with what else it needs."
     if at.startswith("objects[") and isinstance(found, str):
         return f"Write {{name: {_SHORT.repr(found)[1:-1]}}}."
-    if isinstance(found, bool | int | float | datetime.date) and _is(
-        str(found).lower(), kind
-    ):  # the name 003 or yes
+    is_no_text = isinstance(found, bool | int | float | datetime.date)
+    if is_no_text and _is(str(found).lower(), kind):  # the name 003 or yes
         return "Put it in quotation marks: without them YAML does not read it as a text."
     if at.endswith(".source"):
         return "A webcam has no depth, which HuePose needs in every pixel: see docs/cameras.md."

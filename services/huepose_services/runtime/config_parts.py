@@ -105,9 +105,8 @@ def check_listeners(configs: Sequence[Config], refuse: Refuse) -> None:
     for config in configs:
         of_which = f" of {config.camera.name}" if len(configs) > 1 else ""
         for key, address in listeners(config):
-            if (
-                key == "viewer.web_port"
-            ):  # rerun serves the page's program at every address, whatever `bind` is
+            if key == "viewer.web_port":
+                # rerun serves the page's program at every address, whatever `bind` is.
                 address = f"{_ANY[0]}:{config.viewer.web_port}"
             for other, there in taken:
                 if _meet(address, there):

@@ -85,7 +85,9 @@ class DelayDoubt(msgspec.Struct, array_like=True):
         """Keep a look; fit the delay again when a new block begins."""
         begun, self.time = frame.stamp_ns // BLOCK_NS != self.time, frame.stamp_ns // BLOCK_NS
         image = zlib.crc32(frame.color[::4, ::4].tobytes())
-        block = dict(zip(self.images, self.blocks, strict=True)).get(image, f"{key} {self.time}")
+        # From the newest on: a memory of an older version has blocks without images.
+        known = dict(zip(self.images[::-1], self.blocks[::-1], strict=False))
+        block = known.get(image, f"{key} {self.time}")
         self.looks, self.images = [*self.looks, one][-LOOKS:], [*self.images, image][-LOOKS:]
         self.blocks = [*self.blocks, block][-LOOKS:]
         fit = delay(self.looks, self.blocks) if begun else None

@@ -153,3 +153,17 @@ def test_images_that_come_again_and_again_are_no_evidence(box_and_can, sequence)
     assert len(doubt.looks) > 50
     assert len(set(doubt.blocks)) <= 3
     assert doubt.text == ""
+
+
+def test_a_memory_of_an_older_version_without_images_goes_on(box_and_can, sequence):
+    tracker = tracking.Tracker(box_and_can)
+    frame = frame_from_wire(*next(sequence(0)))
+    tracker.correct(tracking.Correction.first("tea_box", path(0.0), frame, 1.0))
+    poses = [replace(pose, velocity=np.array([0.3, 0, 0, 0, 0, 0])) for pose in tracker.step(frame)]
+    old = [(300.0, 1.0, 0.0, 0.5)] * 2
+    doubt = DelayDoubt(epoch=frame.epoch, looks=old, blocks=["tea_box/0 1", "tea_box/0 2"])
+    for k in range(3):
+        doubt.look(replace(frame, stamp_ns=frame.stamp_ns + k * 100_000_000), poses, tracker)
+    assert len(doubt.looks) == len(doubt.blocks) == 5
+    assert len(doubt.images) == 3
+    assert len(set(doubt.blocks)) == 3

@@ -142,7 +142,6 @@ def _box_and_masks(
 ) -> tuple[Box, list[Bool]]:
     """Box and candidate masks of a query: as given, else the box of the masks or the prior, and the
     segmenter's masks."""
-    check_masks(frame, query)
     box, masks = query.box, [np.asarray(m, dtype=bool) for m in query.masks]
     if box is None and masks:
         box = Box.of_mask(np.any(masks, axis=0))

@@ -77,8 +77,8 @@ class Looks:
         }
         wanted: Counter[str] = Counter()
         for asked, box in zip(every, predicted, strict=True):
-            wanted[asked.object] += asked.wanted if box is None else 0
-        wanted = +wanted
+            if box is None:
+                wanted[asked.object] += asked.wanted
         turn = self.turn(names) if names else []
         also = [asked.object for asked in waiting]
         seen = self._detector.detect(frame, names, turn, followed, wanted, also) if wanted else []
@@ -109,7 +109,9 @@ class Looks:
         if asked.instance is None:
             return chosen(seen, asked.object, asked.wanted, tracked)
         mine, expected = [d for d in seen if d.object == asked.object], self._expected(asked, frame)
-        return sorted(mine, key=lambda d: expected is not None and -d.box.iou(expected))[:1]
+        if expected is None or not mine:
+            return mine[:1]
+        return [max(mine, key=lambda d: d.box.iou(expected))]
 
     def _expected(self, asked: RequestedObject, frame: RgbdFrame) -> Box | None:
         """The box of a prediction of any age; None without one in the image."""

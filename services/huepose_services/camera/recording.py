@@ -69,11 +69,7 @@ class RecordedScene:
             except WireError as error:
                 raise InputError(self._recording.path, found=str(error)) from None
             if key not in self._near:
-                raise InputError(
-                    self._recording.path,
-                    found="another file than before",
-                    expected="that it stays as it is",
-                )
+                raise self._recording.changed()
         return self._near[key]
 
     def truths(self, image: int) -> tuple[GroundTruth, ...]:

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 _SETTLE_S = 1.0
 _MOST_EARLIER_NS = 10_000_000_000
+"""How much earlier than the part before it a part of a recording may begin: with frames that the tracker gave
+late."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -116,7 +118,6 @@ def _check_one_run(recordings: list[Recording]) -> None:
         if event is None:
             continue
         its_camera, its_ns = camera_of(event.key), event.message.publish_ns
-        # A part may begin with frames that the tracker gave late.
         earlier_ns = _MOST_EARLIER_NS if _part_of(recording)[1] else 0
         if (camera and its_camera != camera) or its_ns < began_ns - earlier_ns:
             found = "a recording that began before the last one"

@@ -129,8 +129,12 @@ class Recording:
         except (OSError, *_BROKEN):
             record = None
         if not isinstance(record, Chunk):
-            raise InputError(self.path, found="another file than before", expected="that it stays as it is")
+            raise self.changed()
         return record
+
+    def changed(self) -> InputError:
+        """The error for a file that is not the one that `chunks` has read."""
+        return InputError(self.path, found="another file than before", expected="that it stays as it is")
 
     def inside(self, chunk: Chunk, pixels: bool = True) -> Iterator[Event]:
         """The events in a chunk; none if the chunk is damaged. pixels False: headers only."""

@@ -4,7 +4,7 @@ Pixel (u, v) = (column, row); integer coordinates are pixel centres."""
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -66,7 +66,7 @@ class Camera:
 
     def cropped(self, x0: int, y0: int, width: int, height: int) -> Camera:
         """The camera of the sub-image whose top-left pixel is (x0, y0)."""
-        return replace(self, cx=self.cx - x0, cy=self.cy - y0, width=width, height=height)
+        return Camera(self.fx, self.fy, self.cx - x0, self.cy - y0, width, height)
 
     def scaled(self, factor: float) -> Camera:
         """The camera of the image resized by `factor` as cv2.resize does; the size is rounded to whole

@@ -18,11 +18,11 @@ import numpy as np
 from huepose.colorpair.opponents import LOGARITHMS, OPPONENTS
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int32, Int64, UInt8
-from huepose.geometry.camera import NEAR_M, Camera, depth_noise_m
+from huepose.geometry.camera import NEAR_M, Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.icosphere import look_at
 from huepose.geometry.mesh import Mesh
-from huepose.judge.kernel_arrays import ModelArrays, projected, shown_range
+from huepose.judge.kernel_arrays import ModelArrays, projected, shown_range, tolerance_at
 from huepose.judge.open_region import PreparedSurface
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
@@ -156,33 +156,43 @@ def held(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> Float64:
 def _compared(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> tuple[Float64, Float64, Int32]:
     """Points and outward directions (K, 3) of the outline at a pose, camera axes, and the result at each
     point (K,): UNKNOWN, ENDED or CONTINUES."""
-    points, out = contours.at(T_cam_obj)
-    p = points @ T_cam_obj[:3, :3].T + T_cam_obj[:3, 3]
-    o = out @ T_cam_obj[:3, :3].T
-    results = np.zeros(len(p), np.int32)
-    if not len(p):
-        return p, o, results
-    allowed = STEP_M + STEP_SIGMAS * depth_noise_m(float(p[:, 2].mean()))
+    lines = contours.lines
+    view = contours.surface.view_of(T_cam_obj)
+    first, last = int(lines.starts[view]), int(lines.starts[view + 1])
+    p, o, results = np.empty((last - first, 3)), np.empty((last - first, 3)), np.zeros(last - first, np.int32)
     # Images from the bus are read-only. All images are passed as read-only, so the kernel is compiled only
-    # once.
+    # once; so the pose is copied.
     color = frame.color.view()
     color.flags.writeable = False
-    _compare(p, o, frame.camera.lens, frame.depth, color, allowed, results)
+    T = np.array(T_cam_obj, np.float64, order="C")
+    _compare(T, lines.points, lines.out, first, frame.camera.lens, frame.depth, color, p, o, results)
     return p, o, results
 
 
 @jit
 def _compare(
-    points: Float64,
-    out: Float64,
+    T: Float64,
+    points_obj: Float32,
+    out_obj: Float32,
+    first: int,
     lens: Float64,
     depth: Float32,
     color: UInt8,
-    allowed: float,
+    points: Float64,
+    out: Float64,
     results: Int32,
 ) -> None:
-    """Compare each outline point with the frame and fill in `results`, which are UNKNOWN at first. points,
-    out (K, 3): camera axes; lens: fx, fy, cx, cy."""
+    """Compare an outline at pose `T` with the frame. points_obj, out_obj (N, 3): of all outlines, object
+    axes; first: row of the first point of this one; lens: fx, fy, cx, cy. Filled in: points, out (K, 3),
+    camera axes, and results (K,), which are UNKNOWN at first."""
+    away_m = 0.0
+    for k in range(len(points)):
+        p, o = points_obj[first + k], out_obj[first + k]
+        for r in range(3):
+            points[k, r] = T[r, 0] * p[0] + T[r, 1] * p[1] + T[r, 2] * p[2] + T[r, 3]
+            out[k, r] = T[r, 0] * o[0] + T[r, 1] * o[1] + T[r, 2] * o[2]
+        away_m += points[k, 2] / len(points)
+    allowed = STEP_M + tolerance_at(0.0, STEP_SIGMAS, away_m)
     z = np.empty((2, 3))
     logs = np.empty((2, 3), np.float32)
     for k in range(len(points)):

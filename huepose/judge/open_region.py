@@ -22,7 +22,7 @@ from huepose.geometry.arrays import Float, Float32, Float64, Int32
 from huepose.geometry.box import Box
 from huepose.geometry.camera import FLOOR_M, NEAR_M, NEAREST_M, Camera, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.kernel_arrays import NO_LIGHT, ModelArrays, RegionArrays, model_arrays
+from huepose.judge.kernel_arrays import NO_LIGHT, ModelArrays, RegionArrays, model_arrays, nearest_view
 from huepose.judge.region import least_tolerance_m, saturated
 from huepose.judge.silhouette import bounds_of
 from huepose.judge.terms import Terms, score_arrays
@@ -177,10 +177,14 @@ class PreparedSurface:
         """The centre in object axes, homogeneous (4,): one product with a pose transforms it."""
         return np.append(self.arrays.centre, 1.0)
 
+    @cached_property
+    def _every_fourth(self) -> Float32:
+        """Every fourth sample (N, 3)."""
+        return np.ascontiguousarray(self.arrays.points[::4])
+
     def view_of(self, T_cam_obj: Float) -> int:
         """The view of the model that is nearest to that of a pose."""
-        eye = T_cam_obj[:3, :3].T @ -self.centre_cam(T_cam_obj)
-        return int(np.argmax(self.arrays.directions @ eye.astype(np.float32)))
+        return int(nearest_view(np.array(T_cam_obj, np.float64, order="C"), self.arrays))
 
     def shown(self, T_cam_obj: Float, count: int) -> Int32:
         """Indices of up to `count` samples that are visible at a pose, evenly spread."""
@@ -191,7 +195,7 @@ class PreparedSurface:
         """Bounds of the object in the image, not clipped to it, from every fourth sample. Samples that are
         not ahead of the camera are left out; None if these are more than half, or if the object's centre is
         among them."""
-        points = np.ascontiguousarray(self.arrays.points[::4])
+        points = self._every_fourth
         T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
         ahead, left, top, right, bottom = bounds_of(
             points, T, camera.fx, camera.fy, camera.cx, camera.cy, NEAREST_M

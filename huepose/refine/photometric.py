@@ -10,6 +10,7 @@ depth as well; coarse averages of the texture come before fine ones.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -100,6 +101,11 @@ class Schedule:
     samples: tuple[int, ...]
     near: bool = False
 
+    @cached_property
+    def arrays(self) -> tuple[Int32, Float64, Int32]:
+        """Levels, gates and samples as arrays (N,)."""
+        return np.array(self.levels, np.int32), np.array(self.gates_m), np.array(self.samples, np.int32)
+
 
 FULL = Schedule(
     (2, 2, 1, 1, 1, 0, 0, 0),
@@ -124,14 +130,14 @@ FINE = Schedule(
 
 
 class _Settings(NamedTuple):
-    """A schedule at a distance. reaches_px: for each scale, the distance of the neighbours that show whether
-    a sample lies inside the object; held: prior information of a near start, 0 for others."""
+    """A schedule at a distance. held: prior information of a near start, 0 for others."""
 
     levels: Int32
     gates_m: Float64
-    reaches_px: Int32
     samples: Int32
     depth_sigma_m: float
+    px_per_m: float
+    thickness_m: float
     held: float
     body: Body
 
@@ -169,18 +175,10 @@ def refine_all(
 
 def _settings(schedule: Schedule, surface: PreparedSurface, distance_m: float, fx: float) -> _Settings:
     """The settings of a schedule at a distance."""
-    sigma = depth_noise_m(distance_m)
-    gates = np.maximum(np.array(schedule.gates_m), 3.5 * sigma)
-    px_per_m = fx / max(distance_m, NEAR_M)
-    # On a thin object a neighbour further off than this would always lie beside it.
-    widest = INSIDE_SHARE * surface.thickness_m
-    reaches = np.array([max(1, round(min(1.5 * s, widest) * px_per_m)) for s in SCALES_M], np.int32)
-    coarsest = max(1, sum(s <= SCALE_SHARE * surface.thickness_m for s in SCALES_M) - 1)
-    levels = np.minimum(np.array(schedule.levels, np.int32), np.int32(coarsest))
-    body = Body(surface.arrays.centre, surface.radius_m)
-    samples = np.array(schedule.samples, np.int32)
+    sigma_m, px_per_m = depth_noise_m(distance_m), fx / max(distance_m, NEAR_M)
     held = RESIDUALS_PER_READING / START_SIGMA_M**2 if schedule.near else 0.0
-    return _Settings(levels, gates, reaches, samples, sigma, held, body)
+    body = Body(surface.arrays.centre, surface.radius_m)
+    return _Settings(*schedule.arrays, sigma_m, px_per_m, surface.thickness_m, held, body)
 
 
 @jit
@@ -203,7 +201,11 @@ def _refine(
     known: Float64,
 ) -> int:
     """Move T in place; the last normal equations are left in `known`. Returns the iterations done."""
-    levels, gates, body = settings.levels, settings.gates_m, settings.body
+    levels, gates, body, thickness_m = settings.levels, settings.gates_m, settings.body, settings.thickness_m
+    coarsest = 1
+    for scale in range(2, len(SCALES_M)):
+        if SCALES_M[scale] <= SCALE_SHARE * thickness_m:
+            coarsest = scale
     limit = settings.samples.max()
     samples = empty_samples(limit)
     weight, color_weight, trust = np.empty(limit), np.empty(limit), np.empty(limit)
@@ -215,12 +217,13 @@ def _refine(
     done = 0
     still_at = -1
     for iteration in range(levels.shape[0]):
-        level, gate = levels[iteration], gates[iteration]
+        level, gate = min(levels[iteration], coarsest), max(gates[iteration], 3.5 * settings.depth_sigma_m)
         if level == still_at and iteration < levels.shape[0] - 1:
             continue
-        n = project(
-            T, surface, region, settings.samples[iteration], gate, settings.reaches_px[level], samples
-        )  # fmt: skip
+        # On a thin object a neighbour further off than INSIDE_SHARE of it would always lie beside it.
+        inside_m = min(1.5 * SCALES_M[level], INSIDE_SHARE * thickness_m)
+        inside_px = max(1, int(np.rint(inside_m * settings.px_per_m)))
+        n = project(T, surface, region, settings.samples[iteration], gate, inside_px, samples)
         for k in range(n):
             facing = min(1.0, 2.0 * samples.cosine[k])
             weight[k] = facing * (OUTLINE_FLOOR + (1.0 - OUTLINE_FLOOR) * samples.inside[k])

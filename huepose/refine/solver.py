@@ -39,7 +39,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64
 from huepose.support.jit import jit, jit_dividing
 
@@ -223,16 +222,44 @@ def move(T: Float64, step: Float64, body: Body) -> None:
             T[r, k] = a0 * D[0, k] + a1 * D[1, k] + a2 * D[2, k]
 
 
-def information(A: Float, T_cam_obj: Float, body: Body) -> Float64:
+def information(A: Float64, T_cam_obj: Float64, body: Body) -> Float64:
     """Information (6, 6) that the normal equations (their lower triangle (6, 6), before `advance`) give about
     a pose (4, 4): with respect to `se3.perturb`, so tx ty tz rx ry rz in metres and radians, camera axes,
     about the object's origin. Its inverse is the covariance, where the weights were 1 / variance."""
-    R_t = np.asarray(T_cam_obj, np.float64)[:3, :3].T
-    to_step = np.zeros((6, 6))
-    to_step[:3, :3] = R_t
-    to_step[:3, 3:] = -se3.hat(body.centre) @ R_t  # a rotation about the origin also moves the centre
-    to_step[3:, 3:] = body.radius * R_t
-    return np.asarray(to_step.T @ np.where(_LOWER, A, A.T) @ to_step)
+    out = np.empty((6, 6))
+    _information(A, T_cam_obj, body, out)
+    return out
 
 
-_LOWER = np.tri(6, dtype=bool)
+@jit
+def _information(A: Float64, T: Float64, body: Body, out: Float64) -> None:
+    """Fill `out` (6, 6) for a pose T (4, 4)."""
+    x, y, z = body.centre[0], body.centre[1], body.centre[2]
+    to_step, full = np.zeros((6, 6)), np.empty((6, 6))
+    for r in range(3):
+        a, b, c = T[r, 0], T[r, 1], T[r, 2]
+        to_step[0, r], to_step[1, r], to_step[2, r] = a, b, c
+        # A rotation about the origin also moves the centre.
+        to_step[0, 3 + r], to_step[1, 3 + r], to_step[2, 3 + r] = z * b - y * c, x * c - z * a, y * a - x * b
+        a, b, c = body.radius * a, body.radius * b, body.radius * c
+        to_step[3, 3 + r], to_step[4, 3 + r], to_step[5, 3 + r] = a, b, c
+    for i in range(6):
+        for j in range(i + 1):
+            full[i, j] = full[j, i] = A[i, j]
+    transform(to_step, full, out)
+
+
+@jit
+def transform(X: Float64, A: Float64, out: Float64) -> None:
+    """Write X^T A X into `out`; all (6, 6)."""
+    half = np.empty((6, 6))
+    for i in range(6):
+        for j in range(6):
+            half[i, j] = 0.0
+            for k in range(6):
+                half[i, j] += A[i, k] * X[k, j]
+    for i in range(6):
+        for j in range(6):
+            out[i, j] = 0.0
+            for k in range(6):
+                out[i, j] += X[k, i] * half[k, j]

@@ -34,7 +34,7 @@ class CameraPlace:
 
     def at(self, frame: RgbdFrame) -> CameraPlace:
         """A copy with the camera pose of a frame; `moved` stays."""
-        return replace(self, T_parent_cam=frame.T_parent_cam, known_ns=frame.stamp_ns)
+        return CameraPlace(frame.T_parent_cam, frame.stamp_ns, self.moved)
 
     def after(self, frame: RgbdFrame, looked_ns: int) -> tuple[CameraPlace, Float64 | None]:
         """The `CameraPlace` in the next frame, and the transform from the camera axes of the last known pose
@@ -44,7 +44,7 @@ class CameraPlace:
         T_new_old = _moved(self.T_parent_cam, frame.T_parent_cam, seconds)
         moved = None if T_new_old is None or self.known_ns != looked_ns else (T_new_old, seconds)
         known = self if frame.T_parent_cam is None else self.at(frame)
-        return replace(known, moved=moved), T_new_old
+        return CameraPlace(known.T_parent_cam, known.known_ns, moved), T_new_old
 
     def relative(self, surface: PreparedSurface, h: Hypothesis) -> Hypothesis:
         """A hypothesis with its velocity relative to the camera."""

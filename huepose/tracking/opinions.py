@@ -14,7 +14,7 @@ from huepose.refine.ends import moved_to_ends
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import FOLLOWED, Anchor, Hypothesis
-from huepose.tracking.motion import filtered, increment_velocity, jump_odds, predicted
+from huepose.tracking.motion import filtered, increment_velocity, jump_odds
 from huepose.tracking.refined import unmoved
 from huepose.tracking.step import WHOLLY_HIDDEN, Advance
 from huepose.tracking.subject import Subject
@@ -49,12 +49,11 @@ def opinions(
     at_outline = _moved_to_outline(subject, out[0], frame, anchor.usual.light)
     if at_outline is not None:
         out.append(_moved(subject, anchor, at_outline, before, seconds, frame))
-    expected = predicted(subject.surface, before.T_cam_obj, before.velocity, seconds)
     for h in found.proposed:
         if impossible(h, found.followed[0], gone_s, found.least_lead):
             continue
-        h = replace(h, T_cam_obj=subject.like(h.T_cam_obj, expected))
-        jump = jump_odds(subject.surface, before.T_cam_obj, expected, h.T_cam_obj, gone_s, config)
+        h = replace(h, T_cam_obj=subject.like(h.T_cam_obj, found.expected))
+        jump = jump_odds(subject.surface, before.T_cam_obj, found.expected, h.T_cam_obj, gone_s, config)
         opinion = _moved(subject, anchor, h, before, seconds, frame, jump)
         # A jump, or a motion that no frame shows, does not measure the velocity.
         came = jump == 0.0 and anchor.unseen_s == 0.0
@@ -81,8 +80,7 @@ def _moved(
     velocity = filtered(parent.velocity, measured, seconds)
     # An object that was found, not followed, has to show its colours.
     unread = believed.unread(h.terms) if anchor.known and h.source in FOLLOWED else 0.0
-    opinion = weighed(subject, h, frame, anchor.usual, parent.log_odds, jump, unread)
-    return replace(opinion, velocity=velocity)
+    return weighed(subject, h, frame, anchor.usual, parent.log_odds, jump, unread, velocity)
 
 
 def weighed(
@@ -93,11 +91,13 @@ def weighed(
     before: float,
     jump: float = 0.0,
     unread: float = 0.0,
+    velocity: Float64 | None = None,
 ) -> Hypothesis:
-    """A hypothesis with its log-odds; before, jump and unread as in `evidence.log_odds`."""
+    """A hypothesis with its log-odds and this velocity; before, jump and unread as in
+    `evidence.log_odds`."""
     goes_on = continued(subject.contours, h.T_cam_obj, frame)
     odds = evidence.log_odds(h.terms, usual.baseline, before, goes_on, usual.light, jump, unread)
-    return replace(h, log_odds=odds, goes_on=goes_on, jump=jump)
+    return Hypothesis(h.T_cam_obj, h.terms, h.information, h.source, velocity, odds, goes_on, jump)
 
 
 def _moved_to_outline(

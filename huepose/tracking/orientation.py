@@ -108,18 +108,28 @@ class Orientation:
         elif probability(SHARPNESS * margin) < self._config.tracking_quality:
             self.facing = facing.jumped(view, np.ones(len(self._subject.other_turns), bool))
 
-    def check(self, anchor: Anchor, first: Hypothesis, view: Float64, frame: RgbdFrame, hurry: bool) -> float:
+    def check(
+        self,
+        anchor: Anchor,
+        expected: Float64 | None,
+        first: Hypothesis,
+        view: Float64,
+        frame: RgbdFrame,
+        hurry: bool,
+    ) -> float:
         """Compare a pose with its near-symmetric rotations. If the object can have made one of them since it
         was last seen, the log-odds of its orientation drop to at most 0; an object at rest has not rotated.
         If the orientation was settled before, only those rotations are compared, else those doubted before,
-        too; with `hurry` none is. Returns the number of costly proposals used."""
+        too; with `hurry` none is. expected (4, 4): predicted from the anchor's first pose, if it was. Returns
+        the number of costly proposals used."""
         # Poses while it was in doubt may have been wrong: rotation is measured from the last sure one.
         before, since_ns = anchor.first, anchor.frame.stamp_ns
         if self.sure is not None:
             before, since_ns = self.sure, self.sure_ns
         gone_s = (frame.stamp_ns - since_ns) * 1e-9
         turns, T, velocity = self._subject.other_turns, before.T_cam_obj, before.velocity
-        expected = predicted(self._subject.surface, T, velocity, gone_s)
+        if expected is None or before is not anchor.first:
+            expected = predicted(self._subject.surface, T, velocity, gone_s)
         limit = most_turned(velocity, gone_s, self._config)
         jump = jump_odds(self._subject.surface, T, expected, first.T_cam_obj, gone_s, self._config)
         seen_before = since_ns == anchor.frame.stamp_ns and gone_s <= REST_S

@@ -3,7 +3,7 @@ half occluded for seconds must not cost more than others."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 ENOUGH, AGAIN_AFTER_S = 3, 0.485
 """After ENOUGH rounds without success a search begins only AGAIN_AFTER_S seconds after the last one: half a
@@ -31,7 +31,7 @@ class Persistence:
 
     def missed(self, seconds: float) -> Persistence:
         """In the next frame, `seconds` later, which does not show the object either."""
-        return replace(self, seconds=self.seconds + seconds)
+        return Persistence(self.seconds + seconds, self.rounds, self.begun)
 
     def reached(self, stage: int, stages: int, searched: bool = True) -> Persistence:
         """After a search that continues with `stage` of `stages`, after the last one with the first.

@@ -6,6 +6,7 @@ explains less than it should, more are proposed (`tracking.stages`). The track d
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -40,12 +41,14 @@ searched for as such."""
 
 @dataclass(frozen=True, eq=False)
 class Advance:
-    """The result of a step. followed: one per hypothesis of the anchor, in order; proposed: further ones from
-    searches and near-symmetric rotations; tried: number of costly proposals; doubtful: the best total is
-    below the expected one; begun: the stage to try next, END if all were tried; margin: total of the first
-    followed one less that after the best small rotation; place: as in the anchor of the next step;
-    least_lead: by how much of a total a near-symmetric rotation must be better (see `lead_to_turn`)."""
+    """The result of a step. expected (4, 4): the pose predicted from the anchor's first hypothesis; followed:
+    one per hypothesis of the anchor, in order; proposed: further ones from searches and near-symmetric
+    rotations; tried: number of costly proposals; doubtful: the best total is below the expected one; begun:
+    the stage to try next, END if all were tried; margin: total of the first followed one less that after the
+    best small rotation; place: as in the anchor of the next step; least_lead: by how much of a total a
+    near-symmetric rotation must be better (see `lead_to_turn`)."""
 
+    expected: Float64
     followed: tuple[Hypothesis, ...]
     proposed: tuple[Hypothesis, ...] = ()
     tried: int = 0
@@ -72,15 +75,7 @@ def advance(
     expected = predicted(surface, first.T_cam_obj, first.velocity, seconds)
     near, far = reaches(surface, first.T_cam_obj, first.velocity, expected, seconds + anchor.unseen_s, config)
     long = seconds > config.long_step_s
-    task = Task(
-        subject,
-        anchor,
-        frame,
-        config,
-        near=near,
-        far=far,
-        long=long,
-    )
+    task = partial(Task, subject, anchor, frame, config, near, far, long)
     others = tuple(
         followed(surface, frame, h, predicted(surface, h.T_cam_obj, h.velocity, seconds), light, 0)
         for h in anchor.hypotheses[1:]
@@ -91,12 +86,17 @@ def advance(
             # Still occluded: refinement would move it onto the occluder. It may be visible elsewhere.
             for_long = seconds + anchor.unseen_s > HIDDEN_LONG_S
             best = max([waiting, *others], key=lambda h: h.terms.total)
-            stage = NEARBY if anchor.place is None else THERE
-            more = propose(replace(task, hidden=True), best, stage, tries if for_long else 0.0)
+            stage, hidden = NEARBY if anchor.place is None else THERE, task(hidden=True)
+            more = propose(hidden, best, stage, tries if for_long else 0.0)
             following = NEARBY if more.place is None else THERE
-            doubtful = task.doubts(more.best)
             return Advance(
-                (waiting, *others), more.proposed, more.tried, doubtful, following, place=more.place
+                expected,
+                (waiting, *others),
+                more.proposed,
+                more.tried,
+                hidden.doubts(more.best),
+                following,
+                place=more.place,
             )
     found = [followed(surface, frame, first, expected, light, MORE_PASSES), *others]
     if long or not convincing(found[0], anchor.usual.baseline, config.doubt, config):
@@ -113,20 +113,21 @@ def advance(
     uneasy = surprising or returning or begun > NEARBY
     # Back in full view with its usual total: no search nearby is needed, only the check of its rotation.
     back = not long and begun <= NEARBY and in_full(best, anchor.usual.baseline, config)
-    task = replace(task, uneasy=uneasy, back=back)
-    doubtful = task.doubts(best)
+    more_task = task(uneasy=uneasy, back=back)
+    doubtful = more_task.doubts(best)
     if not (doubtful or uneasy):
-        return Advance(tuple(found), rolled, margin=margin, least_lead=least_lead)
+        return Advance(expected, tuple(found), rolled, margin=margin, least_lead=least_lead)
     if doubtful and (resting or best.terms.hidden > config.hidden) and not (long or returning):
-        return Advance(tuple(found), rolled, doubtful=True, margin=margin, least_lead=least_lead)
+        return Advance(expected, tuple(found), rolled, doubtful=True, margin=margin, least_lead=least_lead)
     # A sudden loss of total starts again with the cheap stages.
-    missed = best.terms.total < first.terms.total - task.doubt
-    more = propose(task, best, NEARBY if missed else begun, tries)
+    missed = best.terms.total < first.terms.total - more_task.doubt
+    more = propose(more_task, best, NEARBY if missed else begun, tries)
     return Advance(
+        expected,
         tuple(found),
         rolled + more.proposed,
         more.tried,
-        task.doubts(more.best),
+        more_task.doubts(more.best),
         more.begun,
         margin,
         more.place,

@@ -155,7 +155,7 @@ class Track:
         # A short step has time for one of the two; after a long one the orientation is always checked.
         short = self._apart_s <= self._config.long_step_s
         hurry = short and (tries < 1.0 or (found.tried > 0 and tries < 2.0))
-        tried = found.tried + self._check_orientation(anchor, frame, hurry)
+        tried = found.tried + self._check_orientation(anchor, found.expected, frame, hurry)
         if self.evidence >= self._config.tracking_quality:
             orientation.see(self.hypotheses[0], frame.stamp_ns)
         return tried
@@ -228,7 +228,7 @@ class Track:
         self._begin()
         self._track_state = TrackState(State.SUSPECT, found=1.0)
         self._found_elsewhere(self._of_its_color(sure), frame)
-        return tried + self._check_orientation(anchor, frame, hurry=False)
+        return tried + self._check_orientation(anchor, None, frame, hurry=False)
 
     def _take(self, anchor: Anchor, found: Advance, frame: RgbdFrame) -> None:
         """Give each hypothesis its log-odds, from the image, the last frame and the motion that it implies,
@@ -277,12 +277,14 @@ class Track:
         jump = jump_since(self.subject.surface, self._known_at or here, here, self._config)
         self._identity = self._identity.found_elsewhere(likely, self._view(), jump)
 
-    def _check_orientation(self, anchor: Anchor, frame: RgbdFrame, hurry: bool) -> float:
-        """Compare a pose that the frame supports with its near-symmetric rotations; `hurry`: without the
-        comparison itself. Returns the number of costly proposals used."""
+    def _check_orientation(
+        self, anchor: Anchor, expected: Float64 | None, frame: RgbdFrame, hurry: bool
+    ) -> float:
+        """Compare a pose that the frame supports with its near-symmetric rotations (`Orientation.check`);
+        `hurry`: without the comparison itself. Returns the number of costly proposals used."""
         if self.evidence < self._config.lost_quality:
             return 0.0
-        return self._orientation.check(anchor, self.hypotheses[0], self._view(), frame, hurry)
+        return self._orientation.check(anchor, expected, self.hypotheses[0], self._view(), frame, hurry)
 
     def update_state(self, frame: RgbdFrame, contested: bool, since_ns: int) -> None:
         """Set state and quality from what `look` found. contested: another instance explains the same surface

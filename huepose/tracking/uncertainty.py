@@ -12,10 +12,9 @@ import numpy as np
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import depth_noise_m
 from huepose.geometry.frame import RgbdFrame
-from huepose.geometry.se3 import carrying
 from huepose.judge.borders import held
 from huepose.refine.photometric import RESIDUALS_PER_READING
-from huepose.refine.solver import solve_symmetric
+from huepose.refine.solver import solve_symmetric, transform
 from huepose.support.jit import jit
 from huepose.tracking.evidence import is_loose
 from huepose.tracking.hypothesis import Hypothesis
@@ -56,14 +55,12 @@ def uncertainty(subject: Subject, h: Hypothesis, frame: RgbdFrame | None = None)
 
 def _uncertainty(subject: Subject, h: Hypothesis, by_outline: Float64) -> tuple[Float64, float]:
     # A copy: for each kind of array the kernel would be compiled once more.
-    surface, T = subject.surface, np.array(h.T_cam_obj)
+    surface, T, known = subject.surface, np.array(h.T_cam_obj, np.float64, order="C"), np.empty((6, 6))
     centre = surface.centre_cam(T)
-    # Prior and floors are about the object's centre, wherever its origin is.
-    to_origin = carrying(T[:3, 3] - centre)
-    known = covariance(to_origin.T @ h.information @ to_origin, float(centre[2]), by_outline)
-    known = to_origin @ known @ to_origin.T
     # Errors common to all readings rotate the object about the part inside the image.
-    known /= max(1.0 - h.terms.outside, LEAST_INSIDE)
+    inside = max(1.0 - h.terms.outside, LEAST_INSIDE)
+    bias_m = BIAS_SHARE * depth_noise_m(float(centre[2]))
+    _about_origin(h.information, by_outline, bias_m, T[:3, 3] - centre, inside, known)
     return known, spread_m(known, T, subject.points[0]) / surface.diameter_m
 
 
@@ -101,6 +98,25 @@ def _covariance(information: Float64, by_outline: Float64, bias_m: float, out: F
             out[i, k] = column[i]
         out[k, k] += FLOOR_SIGMA[k] ** 2
     out[2, 2] += bias_m**2
+
+
+@jit
+def _about_origin(
+    information: Float64, by_outline: Float64, bias_m: float, lever: Float64, inside: float, out: Float64
+) -> None:
+    """Fill `out` (6, 6): the covariance about the object's origin, for information (6, 6) about it. Prior and
+    floors are about the object's centre, wherever the origin is. lever (3,): from the centre to the origin,
+    camera axes; inside: the share of the object in the image."""
+    x, y, z = lever[0], lever[1], lever[2]
+    to_origin, about_centre = np.eye(6), np.empty((6, 6))
+    to_origin[0, 4], to_origin[0, 5] = z, -y
+    to_origin[1, 3], to_origin[1, 5] = -z, x
+    to_origin[2, 3], to_origin[2, 4] = y, -x
+    transform(to_origin, information, about_centre)
+    _covariance(about_centre, by_outline, bias_m, out)
+    about_centre[:] = out
+    transform(to_origin.T, about_centre, out)
+    out /= inside
 
 
 @jit

@@ -39,7 +39,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from huepose.geometry.arrays import Float, Float64
+from huepose.geometry.arrays import Float64
 from huepose.support.jit import jit, jit_dividing
 
 

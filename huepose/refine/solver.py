@@ -190,17 +190,22 @@ def add_residual(equations: NormalEquations, weight: float, residual: float, row
 
 
 @jit
-def advance(T: Float64, equations: NormalEquations, body: Body, damping: float) -> float:
+def advance(
+    T: Float64, equations: NormalEquations, body: Body, damping: float, relaxation: float = 1.0
+) -> float:
     """Solve, and move the pose T (4, 4) by the step; `A` is overwritten.
 
-    damping: added to the diagonal, so in the unit of `A`. Returns the largest of the first six components of
-    the step, absolute, metres; -1 if the system could not be solved, then the pose is not moved.
+    damping: added to the diagonal, so in the unit of `A`; relaxation: factor of the step. Returns the largest
+    of the first six components of the step, absolute, metres; -1 if the system could not be solved, then the
+    pose is not moved.
     """
     A, x = equations.A, equations.step
     for i in range(A.shape[0]):
         A[i, i] += damping + 1e-12
     if not solve_symmetric(A, equations.b, x):
         return -1.0
+    for i in range(6):
+        x[i] *= relaxation
     move(T, x, body)
     return float(max(abs(x[0]), abs(x[1]), abs(x[2]), abs(x[3]), abs(x[4]), abs(x[5])))
 

@@ -48,12 +48,14 @@ def followed(
     expected: Float64,
     light: Float64 | None,
     more_passes: int,
-) -> Hypothesis:
-    """A hypothesis of the last frame, refined in this one from its last or its expected pose."""
+) -> tuple[Hypothesis, OpenRegion | None]:
+    """A hypothesis of the last frame, refined in this one from its last or its expected pose, and the window
+    in which it was refined; None outside of the image."""
     starts = [(before.T_cam_obj, "still")]
     if expected is not before.T_cam_obj:
         starts.append((expected, "velocity"))
-    return best_of(surface, frame, starts, light, more_passes)
+    region = _region_around(surface, frame, starts, light)
+    return _best_in(surface, region, starts, more_passes, NEAR), region
 
 
 def best_of(
@@ -66,11 +68,24 @@ def best_of(
 ) -> Hypothesis:
     """Refine the starting pose with the highest total and judge the result. starts: poses (4, 4) with their
     sources; schedule: of the refinement, by the possible error of the starts."""
+    return _best_in(surface, _region_around(surface, frame, starts, light), starts, more_passes, schedule)
+
+
+def _region_around(
+    surface: PreparedSurface, frame: RgbdFrame, starts: list[tuple[Float64, str]], light: Float64 | None
+) -> OpenRegion | None:
     boxes = [b for b in (surface.box(T, frame.camera) for T, _ in starts) if b is not None]
-    region = None
-    if boxes:
-        z = float(surface.centre_cam(starts[-1][0])[2])
-        region = _window(surface, frame, Box.around(*boxes), z, light)
+    z = float(surface.centre_cam(starts[-1][0])[2])
+    return _window(surface, frame, Box.around(*boxes), z, light) if boxes else None
+
+
+def _best_in(
+    surface: PreparedSurface,
+    region: OpenRegion | None,
+    starts: list[tuple[Float64, str]],
+    more_passes: int,
+    schedule: Schedule,
+) -> Hypothesis:
     if region is None:
         return Hypothesis(starts[-1][0], NOTHING, np.zeros((6, 6)), starts[-1][1])
     poses = np.array([T for T, _ in starts])
@@ -120,17 +135,19 @@ def about_its_axis(
     light: Float64 | None,
     known: bool,
     least_lead: float = 0.0,
+    region: OpenRegion | None = None,
 ) -> tuple[Hypothesis, float, tuple[Hypothesis, ...]]:
     """Try rotations of a pose about its axis of revolution: a refinement converges only within about the
     width of a letter on the label. Returns the pose (for a `known` object the result of the rotation that
     explains more, if there is one); its total minus that after the best small rotation; and that rotation as
     a proposal if it is better. least_lead: by how much of a total a rotation of more than half a step must be
-    better."""
+    better; region: a window around the pose, if there is one already."""
     surface, total = subject.surface, followed.terms.total
     rolls = subject.rolls if followed.terms.hidden < OPEN else subject.rolls[:0]
     turns = np.concatenate([subject.slides, rolls]) if known else subject.small_turns
-    region = region_of(surface, frame, followed.T_cam_obj, light) if len(turns) else None
-    if known and region is not None:
+    if len(turns) and region is None:
+        region = region_of(surface, frame, followed.T_cam_obj, light)
+    if known and len(turns) and region is not None:
         back = np.where(FAR_SLIDES, max(ROLLED_BACK, least_lead), ROLLED_BACK)[: len(subject.slides)]
         gain = np.append(back, np.full(len(rolls), ROLLED_OVER))
         poses = followed.T_cam_obj @ turns

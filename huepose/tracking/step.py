@@ -77,7 +77,7 @@ def advance(
     long = seconds > config.long_step_s
     task = partial(Task, subject, anchor, frame, config, near, far, long)
     others = tuple(
-        followed(surface, frame, h, predicted(surface, h.T_cam_obj, h.velocity, seconds), light, 0)
+        followed(surface, frame, h, predicted(surface, h.T_cam_obj, h.velocity, seconds), light, 0)[0]
         for h in anchor.hypotheses[1:]
     )
     if anchor.unseen_s > 0.0:
@@ -98,15 +98,19 @@ def advance(
                 following,
                 place=more.place,
             )
-    found = [followed(surface, frame, first, expected, light, MORE_PASSES), *others]
-    if long or not convincing(found[0], anchor.usual.baseline, config.doubt, config):
+    nearest, region = followed(surface, frame, first, expected, light, MORE_PASSES)
+    found = [nearest, *others]
+    if long or not convincing(nearest, anchor.usual.baseline, config.doubt, config):
         start = first.T_cam_obj if found[0].source == "still" else expected
         found[0] = or_from_afar(surface, frame, found[0], start, light)
     if not far.holds(surface.centre_cam(found[0].T_cam_obj)):
         # Faster than anything moves: the pose has followed an occluder.
         found[0] = unmoved(surface, frame, expected, light)
     least_lead = lead_to_turn(subject, anchor, found[0].T_cam_obj, seconds)
-    found[0], margin, rolled = about_its_axis(subject, frame, found[0], light, anchor.known, least_lead)
+    region = region if found[0] is nearest else None
+    found[0], margin, rolled = about_its_axis(
+        subject, frame, found[0], light, anchor.known, least_lead, region
+    )
     best = max([*found, *rolled], key=lambda h: h.terms.total)
     returning = anchor.unseen_s > 0.0 and best.terms.seen >= RETURNING_SEEN
     surprising = long and moved_m(surface, best.T_cam_obj, expected) > config.surprising_m

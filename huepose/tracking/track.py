@@ -248,7 +248,12 @@ class Track:
             self._scarce_looks + looks(self._apart_s) if evidence.scarce(first.terms) else 0.0
         )
         sure = evidence.bounded(sure, self._scarce_looks)
-        if corrected is not None and len(candidates) > 1 and first.T_cam_obj is candidates[1].T_cam_obj:
+        if (
+            corrected is not None
+            and len(candidates) > 1
+            and first.T_cam_obj is candidates[1].T_cam_obj
+            and not same_pose(self.subject, candidates[0].T_cam_obj, first.T_cam_obj, RIGHT)
+        ):
             # The image prefers the pose from before the correction.
             self._identity, quality = corrected
             if probability(candidates[0].log_odds) >= self._config.suspect_quality:

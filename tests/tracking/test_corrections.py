@@ -40,6 +40,21 @@ def test_a_small_correction_does_not_make_a_sure_object_doubtful(started, film, 
     assert pose.state is State.TRACKING
 
 
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_correction_that_leads_back_to_the_tracked_pose_is_no_doubt(
+    tea_box, started, film, path, axis, side
+) -> None:
+    """Both poses converge to the same one, so it does not matter which of the two explains more."""
+    frames, off = film(8), np.eye(4)
+    off[axis, 3] = side * 0.09 * tea_box.diameter_m
+    assert started.correct(correction(frames[4], off @ path(4), 2, Verdict.CORRECT)) is Applied.APPLIED
+    for frame in frames[6:]:
+        (pose,) = started.step(frame)
+        assert pose.state is State.TRACKING
+        assert errors(pose, path(frame.frame_id))[0] < 2.5
+
+
 def test_corrections_are_idempotent_by_number(started, film, path) -> None:
     frame = film(6)[3]
     assert started.correct(correction(frame, path(3), 2, Verdict.CORRECT)) is Applied.APPLIED

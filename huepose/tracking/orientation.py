@@ -26,6 +26,7 @@ from huepose.tracking.evidence import NEW_VIEW, odds_of
 from huepose.tracking.hypothesis import FOUND_AGAIN, Anchor, Hypothesis, same_pose
 from huepose.tracking.motion import MOST_JUMP, jump_odds, most_turned, predicted
 from huepose.tracking.refined import best_of, ranked, region_of
+from huepose.tracking.stamps import NEVER_NS
 from huepose.tracking.subject import Subject
 
 CLAIMED = 0.8
@@ -44,7 +45,7 @@ class Orientation:
     def __init__(self, subject: Subject, config: TrackerConfig) -> None:
         self.facing: Facing | None = None
         self.sure: Hypothesis | None = None
-        self.sure_ns = self.turned_ns = 0
+        self.sure_ns = self.turned_ns = NEVER_NS
         self._subject, self._config = subject, config
 
     @property

@@ -10,6 +10,9 @@ from huepose.support.errors import InputError
 LEAST_GAP_NS = 100_000
 """No camera takes 10,000 images a second: timestamps that are closer are in another unit, or missing."""
 
+NEVER_NS = -(1 << 62)
+"""Before any timestamp, which may be negative."""
+
 IN_A_ROW = 3
 """This many frames in a row without time between them are neither a clock that was set back once, nor two
 frames with one timestamp."""

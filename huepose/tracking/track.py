@@ -39,6 +39,7 @@ from huepose.tracking.orientation import Orientation, another_opinion
 from huepose.tracking.persistence import Persistence
 from huepose.tracking.refined import unmoved
 from huepose.tracking.stages import END, NEARBY
+from huepose.tracking.stamps import NEVER_NS
 from huepose.tracking.step import Advance, advance, found_nearby
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Correction, Doubt
@@ -71,7 +72,7 @@ class Track:
         self._identity = Identity.none()
         self._corrected_from: tuple[Identity, float] | None = None
         self._orientation = Orientation(subject, config)
-        self._spread, self._supported_ns, self._agreed_ns, self._found_ns = 0.0, 0, -1, 0
+        self._spread, self._supported_ns, self._agreed_ns, self._found_ns = 0.0, 0, NEVER_NS, NEVER_NS
         self._looked_ns, self._apart_s = 0, LOOK_S
         self._camera = CameraPlace()
         self._known_at: tuple[Float64, int] | None = None

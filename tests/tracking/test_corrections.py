@@ -146,9 +146,11 @@ def test_an_acquisition_that_the_image_contradicts_is_dropped(tea_box, shoot, pa
     assert tracker.instances == ()
 
 
-def test_a_doubtful_acquisition_is_suspect_until_perception_agrees(tea_box, film, path) -> None:
+@pytest.mark.parametrize("later_ns", [0, -(10**10)])
+def test_a_doubtful_acquisition_is_suspect_until_perception_agrees(tea_box, film, path, later_ns) -> None:
+    """Whatever moment the timestamps are counted from."""
     tracker = Tracker({"tea_box": tea_box})
-    frames = film(5)
+    frames = [replace(frame, stamp_ns=frame.stamp_ns + later_ns) for frame in film(5)]
     tracker.correct(correction(frames[0], path(0), quality=0.6))
     for frame in frames[:3]:
         assert tracker.step(frame)[0].state is State.SUSPECT

@@ -228,7 +228,7 @@ class Tracker:
         newest = self._frames.newest
         if newest is not None and correction.epoch != newest.epoch:
             return Applied.REFUSED_EPOCH
-        if correction.seq <= self._seen_seq.get(key, 0):
+        if key in self._seen_seq and correction.seq <= self._seen_seq[key]:
             return Applied.REPEATED
         if newest is None or correction.stamp_ns > newest.stamp_ns:
             self._seen_seq[key] = correction.seq

@@ -64,6 +64,15 @@ def test_corrections_are_idempotent_by_number(started, film, path) -> None:
     np.testing.assert_array_equal(started.poses()[0].T_cam_obj, first)
 
 
+@pytest.mark.parametrize("number", [0, -3])
+def test_corrections_are_numbered_from_any_number_on(tea_box, film, path, number) -> None:
+    tracker, (first, second) = Tracker({"tea_box": tea_box}), film(2)
+    assert tracker.correct(correction(first, path(0), number)) is Applied.CATCHING_UP
+    assert tracker.step(first)[0].state is State.TRACKING
+    assert tracker.correct(correction(first, path(0), number)) is Applied.REPEATED
+    assert tracker.step(second)[0].state is State.TRACKING
+
+
 def test_corrections_that_cannot_be_applied_are_refused(tea_box, film, path, started) -> None:
     old = film(1)[0]
     tracker = Tracker({"tea_box": tea_box}, TrackerConfig(history_frames=3, older_frames=0))

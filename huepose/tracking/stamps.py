@@ -34,10 +34,15 @@ def without_time(before: int, newest: RgbdFrame, frame: RgbdFrame) -> int:
     )
 
 
+def repeats(newest: RgbdFrame, frame: RgbdFrame) -> bool:
+    """Whether a frame is the newest one once more, perhaps with another number."""
+    return frame.stamp_ns == newest.stamp_ns and np.array_equal(frame.color, newest.color)
+
+
 def refuse_another_image(newest: RgbdFrame, frame: RgbdFrame) -> None:
     """Raises InputError if a frame has the number and timestamp of the newest one, but another image."""
     same = frame.frame_id == newest.frame_id and frame.stamp_ns == newest.stamp_ns
-    if same and not np.array_equal(frame.color, newest.color):
+    if same and not repeats(newest, frame):
         raise InputError(
             f"frame {frame.frame_id}",
             found=f"another image with the same number and timestamp, {frame.stamp_ns} ns",

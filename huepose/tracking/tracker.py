@@ -22,7 +22,7 @@ from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.looks import LOOK_S
 from huepose.tracking.motion import about_origin
 from huepose.tracking.odometry import Odometry
-from huepose.tracking.stamps import refuse_another_image, without_time
+from huepose.tracking.stamps import refuse_another_image, repeats, without_time
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.tries import Tries
@@ -138,10 +138,11 @@ class Tracker:
     def step(self, frame: RgbdFrame) -> list[TrackedPose]:
         """Track all instances to a new frame and return their poses there.
 
-        A frame of another epoch removes all instances. A frame that is not newer than the last one is ignored
-        and gives an empty list. A frame with a later number but an earlier timestamp is the newest: the
-        camera's clock was set back. Raises InputError for anything but a frame, for another image with the
-        number and timestamp of the newest frame, and for the third frame in a row without time between them.
+        A frame of another epoch removes all instances. A frame that is not newer than the last one, or the
+        same image with its timestamp and a later number, is ignored and gives an empty list. Another image
+        with a later number but no later timestamp is the newest: the camera's clock was set back. Raises
+        InputError for anything but a frame, for another image with the number and timestamp of the newest
+        frame, and for the third frame in a row without time between them.
         """
         require(frame, RgbdFrame, "frame", "an RgbdFrame")
         newest = self._frames.newest
@@ -154,6 +155,8 @@ class Tracker:
                 refuse_another_image(newest, frame)
                 return []
             self._no_time = without_time(self._no_time, newest, frame)
+            if repeats(newest, frame):
+                return []
             if earlier:
                 self._set_back(newest.stamp_ns - frame.stamp_ns + CLOCK_GAP_NS)
                 newest = None

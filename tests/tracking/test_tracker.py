@@ -227,6 +227,18 @@ def test_frames_that_are_not_newer_are_ignored(film, started) -> None:
     np.testing.assert_array_equal(started.poses()[0].T_cam_obj, before.T_cam_obj)
 
 
+def test_an_image_that_is_given_twice_is_ignored_whatever_its_number(tea_box, film, path) -> None:
+    """A program asks its camera more often than that takes images, and counts them itself. Late estimates are
+    still taken."""
+    tracker, frames = Tracker({"tea_box": tea_box}), film(6)
+    for k, frame in enumerate(frames):
+        tracker.step(replace(frame, frame_id=2 * k))
+        assert tracker.step(replace(frame, frame_id=2 * k + 1)) == []
+    assert tracker.correct(correction(frames[2], path(2))) is Applied.CATCHING_UP
+    (pose,) = [tracker.step(replace(frame, frame_id=12 + k)) for k, frame in enumerate(film(3, first=6))][-1]
+    assert pose.state is State.TRACKING
+
+
 def test_another_image_with_the_same_number_and_timestamp_is_refused(tea_box, shoot, path) -> None:
     """Those of RgbdFrame if none are given."""
     tracker = Tracker({"tea_box": tea_box})

@@ -55,15 +55,21 @@ def facing_inwards(vertices: Float, faces: Int) -> Bool:
     areas = np.bincount(part, np.linalg.norm(normals, axis=1) / 2.0, count)
     inwards = volumes < -_FLAT * areas**1.5
     if inwards.any():
-        low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-        np.minimum.at(low, part, corners.min(1))
-        np.maximum.at(high, part, corners.max(1))
+        order = np.argsort(part, kind="stable")
+        corners, of = corners[order].transpose(1, 2, 0).copy(), part[order]
+        begins = np.searchsorted(of, np.arange(count))
+        own = np.split(corners, begins[1:], axis=2)
+        low, high = corners.min(0), corners.max(0)
+        lowest, highest = np.minimum.reduceat(low, begins, 1), np.maximum.reduceat(high, begins, 1)
         for k in range(count):
-            around = (low <= low[k]).all(1) & (high >= high[k]).all(1)
+            least, most = lowest[:, k, None], highest[:, k, None]
+            around = np.logical_and((lowest <= least).all(0), (highest >= most).all(0))
             around[k] = False
-            winding = _winding(corners[part == k], corners[around[part]]) if around.any() else 0
-            if winding != 0:
-                inwards[k] = winding < 0
+            if around.any():
+                above = around[of] & (low[:2] <= most[:2]).all(0) & (high >= least).all(0)
+                winding = _winding(own[k], corners[:, :, np.flatnonzero(above)])
+                if winding != 0:
+                    inwards[k] = winding < 0
     return np.asarray(inwards[part])
 
 
@@ -75,22 +81,21 @@ def _parts(vertices: Float, faces: Int) -> tuple[Int64, int]:
     stay, numbers = welded(vertices)
     f = numbers[faces]
     links = (np.ones(2 * len(f), bool), (np.repeat(f[:, 0], 2), f[:, 1:].reshape(-1)))
-    count, of_vertex = connected_components(coo_matrix(links, shape=(len(stay),) * 2), directed=False)
-    return of_vertex[f[:, 0]].astype(np.int64), int(count)
+    _, of_vertex = connected_components(coo_matrix(links, shape=(len(stay),) * 2), directed=False)
+    parts, part = np.unique(of_vertex[f[:, 0]], return_inverse=True)
+    return part.reshape(-1).astype(np.int64), len(parts)
 
 
 def _winding(own: Float64, others: Float64) -> int:
-    """How often the faces `others` (F, 3, 3) wind around a part with the faces `own` (N, 3, 3); 0 if one of
-    its outermost points is outside of them. Of the faces above a point, those that look down count as
+    """How often some faces (corner, axis, face) wind around a part with the faces `own`; 0 if one of its
+    outermost points is outside of them. Of the faces above a point, those that look down count as
     negative."""
-    points = own.reshape(-1, 3)
-    low, high = others.min(1), others.max(1)
+    points = own.transpose(0, 2, 1).reshape(-1, 3)
     counts = []
     for p in points[np.unique([points.argmin(0), points.argmax(0)])]:
-        above = (low[:, :2] <= p[:2]).all(1) & (high >= p).all(1)
-        a, b, c = (others[above] - p).transpose(1, 0, 2)
-        shares = np.stack([q[:, 0] * r[:, 1] - q[:, 1] * r[:, 0] for q, r in ((b, c), (c, a), (a, b))])
+        a, b, c = others - p[:, None]
+        shares = np.stack([q[0] * r[1] - q[1] * r[0] for q, r in ((b, c), (c, a), (a, b))])
         side = np.where((shares > 0).all(0), 1, np.where((shares < 0).all(0), -1, 0))
-        height = (shares * np.stack([a[:, 2], b[:, 2], c[:, 2]])).sum(0) * side
+        height = (shares * np.stack([a[2], b[2], c[2]])).sum(0) * side
         counts.append(int(side[height > 0].sum()))
     return min(counts, key=abs)

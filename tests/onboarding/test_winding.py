@@ -1,9 +1,13 @@
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from huepose.geometry import Mesh
+from huepose.geometry.arrays import Float, Int
 from huepose.onboarding.winding import facing_inwards, outward_sign
 from tests.onboarding import solids
 
@@ -63,3 +67,20 @@ def test_a_sheet_of_two_sides_has_no_outside() -> None:
     for flip in (1, -1):
         faces = np.concatenate([BODY.faces, sheet[:, ::flip] + len(BODY.vertices)])
         assert not facing_inwards(vertices, faces).any()
+
+
+def test_an_assembly_of_many_parts_with_a_cavity_is_examined_in_time() -> None:
+    shell, screw = solids.sphere(1.0), solids.box((0.05, 0.05, 0.05))
+    places = [0.15 * (np.array(place) - 2.5) for place in np.ndindex(6, 6, 6)]
+    vertices = np.concatenate([shell.vertices, 0.95 * shell.vertices] + [screw.vertices + p for p in places])
+    screws = [screw.faces + 2 * len(shell.vertices) + k * len(screw.vertices) for k in range(len(places))]
+    faces = np.concatenate([shell.faces, shell.faces[:, ::-1] + len(shell.vertices), *screws])
+
+    def cpu_s(work: Callable[[Float, Int], object]) -> float:
+        start = time.process_time()
+        work(vertices, faces)
+        return time.process_time() - start
+
+    assert not facing_inwards(vertices, faces).any()
+    reading_s = min(cpu_s(outward_sign) for _ in range(3))
+    assert min(cpu_s(facing_inwards) for _ in range(2)) < 40 * reading_s

@@ -315,7 +315,7 @@ def _vertex_colors(vertex: Table) -> UInt8 | None:
     kind, scale = vertex[names[0]].dtype, 1.0
     if kind.kind == "f" and colors.max() <= LARGEST_FRACTION:
         scale = 255.0
-    elif kind == np.uint16 and colors.max() > 255.0:
+    elif (kind.kind, kind.itemsize) == ("u", 2) and colors.max() > 255.0:
         scale = 1.0 / 257.0
     return np.clip(np.round(colors * scale), 0, 255).astype(np.uint8)
 

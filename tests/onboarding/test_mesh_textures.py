@@ -57,15 +57,18 @@ def test_colors_of_vertices_may_be_a_little_over_one(tmp_path: Path, form: str) 
     np.testing.assert_allclose(colors, np.tile([255, 128, 0], (2, 1)), atol=1)
 
 
+@pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("white", [255, 65535])
-def test_colors_of_vertices_may_have_16_bits(tmp_path: Path, white: int) -> None:
-    corners = np.array([[0.0, 0.0, 0.0], [30.0, 0.0, 0.0], [0.0, 30.0, 0.0], [0.0, 0.0, 30.0]])
-    color = [white, round(0.4 * white), 0]
-    files.write_colored_ply(tmp_path / "m.ply", corners, np.tile(color, (4, 1)), [[0, 1, 2], [0, 1, 3]])
-    text = (tmp_path / "m.ply").read_text()
-    for name in ("red", "green", "blue"):
-        text = text.replace(f"uchar {name}", f"ushort {name}")
-    (tmp_path / "m.ply").write_text(text)
+def test_colors_of_vertices_may_have_16_bits(tmp_path: Path, white: int, order: str) -> None:
+    form = "binary_little_endian" if order == "<" else "binary_big_endian"
+    text = f"ply\nformat {form} 1.0\nelement vertex 4\n" + "".join(f"property float {k}\n" for k in "xyz")
+    text += "".join(f"property ushort {name}\n" for name in ("red", "green", "blue"))
+    text += "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    vertices = np.zeros(4, [("at", f"{order}f4", 3), ("color", f"{order}u2", 3)])
+    vertices["at"][1:] = 30.0 * np.eye(3)
+    vertices["color"] = white, round(0.4 * white), 0
+    faces = np.array([(3, (0, 1, 2)), (3, (0, 1, 3))], [("count", "u1"), ("corners", f"{order}i4", 3)])
+    (tmp_path / "m.ply").write_bytes(text.encode() + vertices.tobytes() + faces.tobytes())
     colors = colors_at(read_mesh(tmp_path / "m.ply"))
     np.testing.assert_allclose(colors, np.tile([255, 102, 0], (2, 1)), atol=1)
 

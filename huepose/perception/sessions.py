@@ -76,6 +76,7 @@ class Network:
         names = {name: key for key, name in PROVIDERS.items()}
         self.provider = names.get(session.get_providers()[0], session.get_providers()[0])
         self._binding: Any = None
+        self._works = False
         self._buffers: dict[str, np.ndarray] = {}
         if all(tensor.fixed and tensor.kind in _TYPES for tensor in self.inputs):
             self._bind()
@@ -95,7 +96,8 @@ class Network:
 
     def run(self, feeds: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """The outputs by name; inputs are converted to the network's precision. Raises InputError if the name
-        or shape of an input is not the network's, or if the network cannot be run with it."""
+        or shape of an input is not the network's, or if the network cannot be run with the first ones. Later
+        errors are not of the file, but of the processor, such as a lack of its memory."""
         if feeds.keys() != {tensor.name for tensor in self.inputs}:
             raise InputError(
                 f"{self.path}: inputs", found=", ".join(feeds), expected=self.described(self.inputs)
@@ -107,6 +109,8 @@ class Network:
         try:
             values = self._answer(feeds)
         except Exception as error:  # ONNX Runtime raises a dozen kinds, which have no base class of their own
+            if self._works:
+                raise
             given = ", ".join(f"{name} {' x '.join(map(str, feed.shape))}" for name, feed in feeds.items())
             raise InputError(
                 self.path,
@@ -114,6 +118,7 @@ class Network:
                 expected=f"a network that can be run with {given}",
                 fix="" if self._buffers else "Export it again, with inputs of these sizes.",
             ) from None
+        self._works = True
         return {tensor.name: value for tensor, value in zip(self.outputs, values, strict=True)}
 
     def _answer(self, feeds: Mapping[str, np.ndarray]) -> Sequence[np.ndarray]:

@@ -56,6 +56,21 @@ def test_a_network_that_cannot_be_run_is_an_error_that_names_the_file(tmp_path):
         network.run({"image": np.zeros((1, 3, 640, 640), np.float32)})
 
 
+def test_an_error_of_a_network_that_has_worked_is_no_wrong_input(free, monkeypatch):
+    """A worker that ends with it, as when a GPU has no memory left, must be started again."""
+    network = open_network(free)
+    feed = {"images": np.zeros((1, 3, 4, 4), np.float32)}
+    network.run(feed)
+
+    def fails(feeds):
+        raise RuntimeError("CUDA failure 2: out of memory")
+
+    monkeypatch.setattr(network, "_answer", fails)
+    with pytest.raises(RuntimeError, match="out of memory") as caught:
+        network.run(feed)
+    assert not isinstance(caught.value, InputError)
+
+
 def test_the_digest_is_checked_before_anything_else(fixed):
     right = hashlib.sha256(fixed.read_bytes()).hexdigest()
     open_network(fixed, sha256=right)

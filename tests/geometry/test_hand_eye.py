@@ -231,6 +231,10 @@ def test_frame_numbers_that_begin_again_are_not_mixed(
     options = files(tmp_path, rows(A[6:]), "\n".join([header, *earlier, *later]) + "\n")
     assert main(["calibrate", "hand-eye", *options, "--camera", "on-hand"]) == 2
     assert "object.csv: found frame 0 in two places" in capsys.readouterr().err
+    both = "\n".join([header, *rows(A[:6]).splitlines()[1:], *rows(A[6:]).splitlines()[1:]]) + "\n"
+    options = files(tmp_path, both, "\n".join([header, *earlier]) + "\n")
+    assert main(["calibrate", "hand-eye", *options, "--camera", "on-hand"]) == 2
+    assert "hand.csv: found frame 0 in two places" in capsys.readouterr().err
     hand = "\n".join([header, *rows(A[6:]).splitlines()[7:]]) + "\n"
     options = files(tmp_path, hand, "\n".join([header, *earlier, *later]) + "\n")
     assert main(["calibrate", "hand-eye", *options, "--camera", "on-hand"]) == 0

@@ -58,19 +58,20 @@ def call(arguments: argparse.Namespace) -> int:
 
     if arguments.parent is not None and not is_frame_name(arguments.parent):
         raise InputError("--parent", found=repr(arguments.parent)[:80], expected=FRAME_NAME_IN_WORDS)
-    seen, again = _of_one_thing(arguments.object, arguments.name)
-    hand, _ = _of_one_thing(arguments.hand, None, of_hand=True)
+    seen, seen_again = _of_one_thing(arguments.object, arguments.name)
+    hand, hand_again = _of_one_thing(arguments.hand, None, of_hand=True)
     frames = sorted(set(seen) & set(hand))
     if not frames:
         raise InputError(arguments.hand, found="no frame that is in both files", expected="the same frames")
-    if unclear := sorted(again & set(frames)):
-        raise InputError(
-            arguments.object,
-            found=f"frame {unclear[0]} in two places",
-            expected="each frame of --hand once",
-            fix="Numbers begin again when the camera is opened again: in both files keep only the rows since "
-            "then, or only those before.",
-        )
+    for path, again in ((arguments.object, seen_again), (arguments.hand, hand_again)):
+        if unclear := sorted(again & set(frames)):
+            raise InputError(
+                path,
+                found=f"frame {unclear[0]} in two places",
+                expected="each frame once",
+                fix="Numbers begin again when the camera is opened again: in both files keep only the rows "
+                "since then, or only those before.",
+            )
     fixed = arguments.camera == "fixed"
     hands, B = (np.array([poses[f] for f in frames]) for poses in (hand, seen))
     if np.array_equal(hands, B):

@@ -83,12 +83,17 @@ class Looks:
         also = [asked.object for asked in waiting]
         seen = self._detector.detect(frame, names, turn, followed, wanted, also) if wanted else []
         tracked = [(a.object, box) for a, box in zip(every, predicted, strict=True) if box is not None]
-        return [
-            [Place(d.box, d.score) for d in self._found(asked, frame, seen, tracked)]
-            if box is None
-            else [Place(box)]
-            for asked, box in zip(every, predicted, strict=True)
-        ]
+        places: list[list[Place]] = []
+        for asked, box in zip(every, predicted, strict=True):
+            if box is not None:
+                places.append([Place(box)])
+                continue
+            if asked.instance is None:
+                mine = chosen(seen, asked.object, asked.wanted, tracked)
+            else:
+                mine = of_tracked(seen, asked.object, self._expected(asked, frame))
+            places.append([Place(d.box, d.score) for d in mine])
+        return places
 
     def turn(self, names: Sequence[str]) -> list[str]:
         """The objects whose turn it is: those that never had one, or the one whose turn is longest ago."""
@@ -96,22 +101,6 @@ class Looks:
         turn = turn or [min(names, key=self._turns.index)]
         self._turns = [name for name in self._turns if name not in turn] + turn
         return turn
-
-    def _found(
-        self,
-        asked: RequestedObject,
-        frame: RgbdFrame,
-        seen: Sequence[Detection],
-        tracked: Sequence[tuple[str, Box]],
-    ) -> list[Detection]:
-        """Places of a detector for an object without a fresh prediction: for a tracked instance the one that
-        overlaps most with its prediction, for new ones those that `chosen` returns."""
-        if asked.instance is None:
-            return chosen(seen, asked.object, asked.wanted, tracked)
-        mine, expected = [d for d in seen if d.object == asked.object], self._expected(asked, frame)
-        if expected is None or not mine:
-            return mine[:1]
-        return [max(mine, key=lambda d: d.box.iou(expected))]
 
     def _expected(self, asked: RequestedObject, frame: RgbdFrame) -> Box | None:
         """The box of a prediction of any age; None without one in the image."""
@@ -145,6 +134,13 @@ def chosen(
     mine = [d for d in seen if d.object == name and _lies_on_none(d.box, own)]
     free = [d for d in mine if _lies_on_none(d.box, any_of_them)][:wanted]
     return [d for d in mine if d is mine[0] or d in free]
+
+
+def of_tracked(seen: Sequence[Detection], name: str, expected: Box | None) -> list[Detection]:
+    """Which place of a detector, of those best first, is looked at for a tracked instance of an object: the
+    one that overlaps most with the box that is expected for it, if there is one."""
+    mine = [d for d in seen if d.object == name]
+    return sorted(mine, key=lambda d: 0.0 if expected is None else -d.box.iou(expected))[:1]
 
 
 def _lies_on_none(box: Box, boxes: Sequence[Box]) -> bool:

@@ -13,7 +13,7 @@ from huepose.perception.exchanged import ChannelOrder, order_of_channels
 from huepose.perception.types import Detection
 from huepose.perception.view_detector import ViewDetector
 from huepose.perception.yolo import YoloDetector
-from huepose.reinit.looking import Looks, chosen
+from huepose.reinit.looking import Looks, chosen, of_tracked
 from huepose_protos.messages import (
     DetectedObject,
     FrameHeader,
@@ -82,7 +82,7 @@ class BoxFinder:
         self, detections: Sequence[Detection], header: FrameHeader, request: PerceptionRequest
     ) -> list[DetectedObject]:
         """Assign detections, best first, to the objects of a request: a tracked instance gets the box that
-        overlaps most with its prediction, a new one the boxes that `chosen` returns."""
+        `of_tracked` returns, a new one those of `chosen`."""
         camera = camera_from_wire(header.intrinsics)
         tracked = [
             (wanted.object, box)
@@ -92,14 +92,12 @@ class BoxFinder:
         ]
         found: list[DetectedObject] = []
         for wanted in (*request.objects, *request.waiting):
-            mine = [d for d in detections if d.object == wanted.object]
             if wanted.instance is None:
-                new = chosen(mine, wanted.object, wanted.wanted, tracked)
-                found += [detected(wanted, d.box, d.score) for d in new]
-            elif mine:
+                mine = chosen(detections, wanted.object, wanted.wanted, tracked)
+            else:
                 prior = self.prior_box(wanted.object, wanted.prior, header, camera)
-                best = mine[0] if prior is None else max(mine, key=lambda d: (d.box.iou(prior), d.score))
-                found.append(detected(wanted, best.box, best.score))
+                mine = of_tracked(detections, wanted.object, prior)
+            found += [detected(wanted, d.box, d.score) for d in mine]
         return found
 
 

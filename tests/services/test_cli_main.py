@@ -438,6 +438,23 @@ def test_a_command_works_if_who_started_it_closed_an_output(closed: str) -> None
     assert ("yolox-nano" in ran.stdout) == (closed == "2>&-")
 
 
+def test_a_command_that_may_ask_works_without_an_input(tmp_path: Path) -> None:
+    corners = ("0 0 0", "2 0 0", "0 2 0", "0 0 2")  # 2 mm, or 2 m
+    text = "".join(f"v {corner} 255 0 0\n" for corner in corners) + "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+    (tmp_path / "m.obj").write_text(text)
+    start = "import sys; from huepose_services.cli.entry import main; sys.exit(main())"
+    command = [sys.executable, "-c", start, "onboard", str(tmp_path / "m.obj"), "--name", "m"]
+    ran = subprocess.run(
+        ["sh", "-c", '"$0" "$@" <&-', *command, "--out", str(tmp_path / "out")],
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert ran.returncode == 2
+    assert "found no unit" in ran.stderr
+    assert "Traceback" not in ran.stderr
+
+
 def test_progress_is_silent_if_the_error_output_is_closed() -> None:
     start = (
         "import sys; from huepose_services.cli import entry, main\n"

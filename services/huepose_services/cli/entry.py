@@ -15,9 +15,9 @@ _AGAIN_S = 0.05
 
 def main() -> int:
     """Run the command line of this process; returns the exit code."""
-    for stream in ("stdout", "stderr"):
+    for stream in ("stdin", "stdout", "stderr"):
         if getattr(sys, stream) is None:  # closed by who started the process, as by `2>&-`
-            setattr(sys, stream, open(os.devnull, "w"))  # noqa: SIM115  # open as long as the process
+            setattr(sys, stream, open(os.devnull, "r+"))  # noqa: SIM115  # open as long as the process
     pressed = False
 
     def ctrl_c(*what: object) -> None:

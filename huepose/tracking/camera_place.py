@@ -24,13 +24,13 @@ STATIC = np.eye(4)
 @dataclass(frozen=True, eq=False)
 class CameraPlace:
     """T_parent_cam (4, 4): the camera pose, given or measured, of the frame with timestamp `known_ns`; None
-    if there was none. moved: transform from the camera axes of the last frame to the present ones (4, 4), and
-    the seconds between; None if not known. Velocities are those of objects in the parent frame if `moved` is
-    known, else relative to the camera."""
+    if there was none. moved: transform from the camera axes of the last frame to the present ones (4, 4),
+    None if it stood still, and the seconds between; None if not known. Velocities are those of objects in the
+    parent frame if `moved` is known, else relative to the camera."""
 
     T_parent_cam: Float64 | None = None
     known_ns: int = 0
-    moved: tuple[Float64, float] | None = None
+    moved: tuple[Float64 | None, float] | None = None
 
     def at(self, frame: RgbdFrame) -> CameraPlace:
         """A copy with the camera pose of a frame; `moved` stays."""
@@ -42,15 +42,17 @@ class CameraPlace:
         whose timestamp is `looked_ns`."""
         seconds = (frame.stamp_ns - self.known_ns) * 1e-9
         T_new_old = _moved(self.T_parent_cam, frame.T_parent_cam, seconds)
-        moved = None if T_new_old is None or self.known_ns != looked_ns else (T_new_old, seconds)
+        moved = None
+        if T_new_old is not None and self.known_ns == looked_ns:
+            moved = None if T_new_old is STATIC else T_new_old, seconds
         known = self if frame.T_parent_cam is None else self.at(frame)
         return CameraPlace(known.T_parent_cam, known.known_ns, moved), T_new_old
 
     def relative(self, surface: PreparedSurface, h: Hypothesis) -> Hypothesis:
         """A hypothesis with its velocity relative to the camera."""
-        if self.moved is None or self.moved[0] is STATIC or h.velocity is None:
+        T_new_old, seconds = self.moved or (None, 0.0)
+        if T_new_old is None or h.velocity is None:
             return h
-        T_new_old, seconds = self.moved
         stood = se3.compose(se3.inverse(T_new_old), h.T_cam_obj)
         return replace(h, velocity=h.velocity + increment_velocity(surface, stood, h.T_cam_obj, seconds))
 

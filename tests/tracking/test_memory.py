@@ -1,13 +1,18 @@
 """A tracker that takes over the memory of another one then gives the same poses, bit by bit."""
 
 from dataclasses import astuple
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from huepose.geometry import Camera, RgbdFrame, se3
+from huepose.judge.terms import NOTHING
 from huepose.support.errors import InputError
 from huepose.tracking import Correction, Tracker, Verdict
-from huepose.tracking.memory import checksum, frames_of, state_of, taken_over
+from huepose.tracking.camera_place import CameraPlace
+from huepose.tracking.hypothesis import Hypothesis
+from huepose.tracking.memory import checksum, frames_of, plain, restored, state_of, taken_over
 
 
 @pytest.fixture
@@ -48,6 +53,19 @@ def test_a_tracker_that_takes_over_a_memory_gives_the_same_poses(tea_box, film, 
             assert set(frames_of(memory)) <= set(kept)
             taken_over(other, memory, lambda epoch, frame_id: kept.get((epoch, frame_id)))
     assert len(poses[0]) == 1
+
+
+def test_velocities_beside_a_static_camera_are_the_same_after_a_memory_is_taken_over():
+    pixels = np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32), Camera(4.0, 4.0, 2.0, 2.0, 4, 4)
+    frame = RgbdFrame(*pixels, 1, 33_000_000, T_parent_cam=np.eye(4))
+    camera, _ = CameraPlace(np.eye(4)).after(frame, 0)
+    tracker = Tracker({})
+    again = restored(plain(camera, tracker), tracker, lambda epoch, frame_id: None)
+    velocity, surface = np.full(6, 0.1), SimpleNamespace(centre_cam=lambda T: T[:3, 3])
+    T_cam_obj = se3.make(se3.rotation_exp(np.array([0.3, 0.5, 0.7])), np.array([0.1, 0.2, 0.7]))
+    h = Hypothesis(T_cam_obj, NOTHING, np.zeros((6, 6)), "still", velocity=velocity)
+    for place in (camera, again):
+        assert place.relative(surface, h).velocity.tobytes() == velocity.tobytes()
 
 
 def test_the_checksum_changes_with_a_single_bit(tea_box, film, path):

@@ -214,6 +214,13 @@ def test_units_in_use_outlive_a_full_disk(tmp_path, capsys):
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
+def test_a_path_in_another_encoding_is_refused(tmp_path, capsys):
+    there = tmp_path / "caf\udce9.yaml"
+    there.write_text("bundles: bundles\nobjects: [{name: mug}]\n")
+    assert main(["units", str(there), "--out", str(tmp_path / "units")]) == 2
+    assert "a path that is not in UTF-8" in capsys.readouterr().err
+
+
 def test_an_invalid_user_name_is_refused(tmp_path, capsys):
     assert main(["units", str(ROOT / "pipeline.yaml"), "--out", str(tmp_path), "--user", "bob smith"]) == 2
     assert "--user: found bob smith; expected a user name" in capsys.readouterr().err

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from huepose.support.errors import InputError
 from huepose.support.files import write_text, writing
 from huepose_services.cli.options import add_host, add_path, add_pipeline, say
+from huepose_services.runtime.text import encodable
 from huepose_services.runtime.threads import THREAD_VARIABLES
 
 if TYPE_CHECKING:
@@ -146,7 +147,12 @@ def call(arguments: argparse.Namespace) -> int:
     command = (Path(sys.executable).parent / "huepose").absolute()
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_.-]*", arguments.user):
         raise InputError("--user", found=arguments.user, expected="a user name")
-    files = units(configs, command, arguments.config.absolute(), arguments.user)
+    file = arguments.config.absolute()
+    for path in (file, command):
+        if (shown := encodable(str(path))) != str(path):
+            found = "a path that is not in UTF-8, which systemd cannot read"
+            raise InputError(shown, found=found, expected="another name", fix="Rename it or its folder.")
+    files = units(configs, command, file, arguments.user)
     with writing(arguments.out, fix="Choose another folder with --out, or run it as root."):
         for old in arguments.out.glob("huepose@*.service.d/needs.conf"):
             if str(old.relative_to(arguments.out)) not in files:
@@ -155,7 +161,7 @@ def call(arguments: argparse.Namespace) -> int:
             path = arguments.out / name
             write_text(path, text)
             print(path)
-    used = {"the configuration": arguments.config.absolute(), "the program": command}
+    used = {"the configuration": file, "the program": command}
     used |= {"its Python": Path(sys.base_prefix)}
     for config in configs:
         used |= _named(config)

@@ -105,9 +105,6 @@ def check_listeners(configs: Sequence[Config], refuse: Refuse) -> None:
     for config in configs:
         of_which = f" of {config.camera.name}" if len(configs) > 1 else ""
         for key, address in listeners(config):
-            if key == "viewer.web_port":
-                # rerun serves the page's program at every address, whatever `bind` is.
-                address = f"{_ANY[0]}:{config.viewer.web_port}"
             for other, there in taken:
                 if _meet(address, there):
                     fix = "Each needs a port of its own; of several cameras each gets the next ones."
@@ -121,7 +118,8 @@ def listeners(config: Config) -> Iterator[tuple[str, str]]:
     if "gateway" in config.workers:
         yield "gateway.listen", config.gateway.listen
     if "viewer" in config.workers:
-        yield "viewer.web_port", f"{config.viewer.bind}:{config.viewer.web_port}"
+        # rerun serves the page's program at every address, whatever `bind` is.
+        yield "viewer.web_port", f"{_ANY[0]}:{config.viewer.web_port}"
         yield "viewer.grpc_port", f"{config.viewer.bind}:{config.viewer.grpc_port}"
     if config.hosts:
         yield "link.listen", config.link.listen

@@ -182,7 +182,7 @@ class _FrameRun:
 
     def _estimated(self, queries: Mapping[int, ObjectQuery]) -> list[PoseEstimate]:
         answers = self.setup.estimator.estimate(self.sample.frame, list(queries.values())) if queries else []
-        return [answer if _is_finite(answer) else _without_pose(answer) for answer in answers]
+        return [_finite(answer) for answer in answers]
 
     def _query(self, label: Label) -> ObjectQuery | None:
         """The query of a label; None if its true mask or box is empty: nothing of the object is in the
@@ -359,10 +359,9 @@ class _FrameRun:
         )
 
 
-def _is_finite(answer: PoseEstimate) -> bool:
-    return answer.T_cam_obj is None or bool(np.isfinite(answer.T_cam_obj).all())
-
-
-def _without_pose(answer: PoseEstimate) -> PoseEstimate:
+def _finite(answer: PoseEstimate) -> PoseEstimate:
+    """The answer, without its pose if that is not finite."""
+    if answer.T_cam_obj is None or np.isfinite(answer.T_cam_obj).all():
+        return answer
     reason = "The estimator gave a pose that is not finite."
     return PoseEstimate(answer.object, answer.instance, seconds=answer.seconds, reason=reason)

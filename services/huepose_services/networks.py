@@ -65,12 +65,9 @@ def check(config: Config) -> None:
 
 def _check_digests(config: Config) -> None:
     """Raises InputError if a digest has another name than the file of a network: it would not be compared."""
-    named = (config.detector.model, config.segmenter.encoder or SAM_ENCODER)
-    files = [
-        Path(one).name if is_network_file(one) else f"{one}.onnx"
-        for one in (*named, config.segmenter.decoder or SAM_DECODER)
-        if one is not None
-    ]
+    segmenter = config.segmenter
+    named = (config.detector.model, segmenter.encoder or SAM_ENCODER, segmenter.decoder or SAM_DECODER)
+    files = [Path(one).name if is_network_file(one) else f"{one}.onnx" for one in named if one]
     for name in config.networks.sha256:
         if name not in files:
             raise InputError(

@@ -91,7 +91,6 @@ def call(arguments: argparse.Namespace) -> int:
 def _in_order(recordings: list[Recording]) -> list[Recording]:
     """The same files, the parts of each recording in their order: shells sort run_0001.mcap before
     run.mcap."""
-
     parts = [_part_of(recording) for recording in recordings]
     firsts = [path for path, _ in parts]
     order = sorted(range(len(parts)), key=lambda k: (firsts.index(firsts[k]), parts[k][1]))

@@ -54,9 +54,9 @@ class MeshFiles:
     def read(self, name: str, role: str, named_in: Path) -> tuple[Path, bytes]:
         """Path and content of a file that `named_in` names. Raises InputError that says which file names it.
 
-        name: as written there, relative to the folder of `named_in`. Another case of letters is accepted,
-        and accents may be decomposed, as macOS does. If the name leads out of the mesh's folder (to a folder
-        of the machine that exported the mesh), only its last part counts.
+        name: as written there, relative to the folder of `named_in`. Another case of letters is accepted, and
+        accents may be decomposed, as macOS does. If the name leads out of the mesh's folder (to a folder of
+        the machine that exported the mesh), only its last part counts.
         """
         path = self._find(name, role, named_in)
         return path, self._read(path, role, named_in)
@@ -107,9 +107,11 @@ class MeshFiles:
         path = named_in.parent / written
         inside = Path(os.path.abspath(path)).is_relative_to(os.path.abspath(self.mesh.parent))
         if not (inside and os.path.exists(path)):
-            folders = [path.parent, named_in.parent] if inside else [named_in.parent]
-            last = _plain(written.rsplit("/", 1)[-1])
-            alike = [p for folder in folders for p in _listing(folder) if _plain(p.name) == last]
+            *through, last = os.path.relpath(path, named_in.parent).split("/")
+            folder = named_in.parent
+            for one in through if inside else ():
+                folder = next(iter(_alike(folder, one)), folder / one)
+            alike = [*_alike(folder, last), *_alike(named_in.parent, last)]
             if not alike and inside:
                 raise InputError(
                     path,
@@ -218,8 +220,9 @@ def _plain(name: str) -> str:
     return unicodedata.normalize("NFC", name).lower()
 
 
-def _listing(folder: Path) -> list[Path]:
+def _alike(folder: Path, name: str) -> list[Path]:
+    """What is in a folder under this name, the case of letters and the form of accents apart."""
     try:
-        return sorted(folder.iterdir())
+        return sorted(path for path in folder.iterdir() if _plain(path.name) == _plain(name))
     except (OSError, ValueError):
         return []

@@ -186,6 +186,17 @@ def test_accents_of_file_names_may_be_decomposed(
     assert_same(read_mesh(tmp_path / "m.obj"), printed_box)
 
 
+@pytest.mark.parametrize(("on_disk", "in_file"), [("textures", "Textures"), ("Körper", "Ko\u0308rper")])
+def test_names_of_folders_may_differ_in_case_and_accents(
+    tmp_path: Path, printed_box: Mesh, on_disk: str, in_file: str
+) -> None:
+    files.write_obj(tmp_path / "m.obj", printed_box)
+    (tmp_path / on_disk).mkdir()
+    (tmp_path / "m.png").rename(tmp_path / on_disk / "print.png")
+    (tmp_path / "m.mtl").write_text(f"newmtl print\nmap_Kd {in_file}\\print.png\n")
+    assert_same(read_mesh(tmp_path / "m.obj"), printed_box)
+
+
 def test_names_of_textures_may_differ_in_case_and_folder(tmp_path: Path, printed_box: Mesh) -> None:
     files.write_obj(tmp_path / "m.obj", printed_box, texture_name="Print.PNG")
     mtl = tmp_path / "m.mtl"

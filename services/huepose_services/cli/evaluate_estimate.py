@@ -57,8 +57,7 @@ def call(arguments: argparse.Namespace) -> int:
             expected="folders named by the scene_id that the file gives",
             fix="Rename them; evaluate sets with the same numbers one at a time.",
         )
-    seeds = tuple(dict.fromkeys(arguments.seed))
-    options = EstimateOptions(boxes, arguments.masks, arguments.min_visib, seeds)
+    options = EstimateOptions(boxes, arguments.masks, arguments.min_visib, tuple(arguments.seed))
     targets = Targets(models, arguments.objects)
     # In boxes of the detector, the presence decides what is found, not the quality.
     found_level = 0.0 if boxes == "detect" else None

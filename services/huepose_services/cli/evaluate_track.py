@@ -106,8 +106,7 @@ def _options(arguments: argparse.Namespace) -> TrackOptions:
             "--delayed", found="it with --protocol free", fix="Use --protocol roft, or --init alone."
         )
     init = arguments.init or delayed or "estimate"
-    seeds = tuple(dict.fromkeys(arguments.seed))
-    return TrackOptions(arguments.protocol, arguments.every, seeds, init, delayed)
+    return TrackOptions(arguments.protocol, arguments.every, tuple(arguments.seed), init, delayed)
 
 
 def _report(summary: dict[str, Any]) -> str:

@@ -67,7 +67,8 @@ def add_path(
 
 
 class _Several(argparse.Action):
-    """Each use of the option adds to the earlier ones; the first one replaces the default."""
+    """Each use of the option adds to the earlier ones; the first one replaces the default. A number that is
+    given again counts once."""
 
     def __call__(
         self,
@@ -77,7 +78,8 @@ class _Several(argparse.Action):
         option_string: str | None = None,
     ) -> None:
         before = getattr(namespace, self.dest)
-        setattr(namespace, self.dest, [*([] if before is self.default else before), *values])
+        given = [*([] if before is self.default else before), *values]
+        setattr(namespace, self.dest, [*dict.fromkeys(given)] if isinstance(given[0], int) else given)
 
 
 def add_several(

@@ -129,6 +129,10 @@ class Look(Message, frozen=True, kw_only=True):
     frame: FrameHeader
 
 
+MOST_BOXES = 64
+"""The most boxes in Detections, and so the most objects in Masks and Estimates."""
+
+
 class DetectedObject(Struct, frozen=True, kw_only=True):
     """A requested object and the box to search for it in."""
 
@@ -148,7 +152,7 @@ class Detections(Message, frozen=True, kw_only=True):
     request_seq: Count
     request_ns: Stamp
     frame: FrameHeader
-    objects: Annotated[list[DetectedObject], Meta(max_length=64)]
+    objects: Annotated[list[DetectedObject], Meta(max_length=MOST_BOXES)]
     camera: Text = ""
 
 
@@ -166,7 +170,7 @@ class Masks(Message, frozen=True, kw_only=True):
     request_seq: Count
     request_ns: Stamp
     frame: FrameHeader
-    objects: Annotated[list[MaskedObject], Meta(max_length=64)]
+    objects: Annotated[list[MaskedObject], Meta(max_length=MOST_BOXES)]
     camera: Text = ""
 
     def __post_init__(self) -> None:
@@ -219,7 +223,7 @@ class Estimates(Message, frozen=True, kw_only=True):
     camera_epoch: Epoch
     frame_id: Count
     capture_ns: Stamp
-    estimates: Annotated[list[EstimatedObject], Meta(max_length=64)]
+    estimates: Annotated[list[EstimatedObject], Meta(max_length=MOST_BOXES)]
     picture: Text = ""
     camera: Text = ""
 

@@ -13,7 +13,13 @@ from huepose.perception.view_detector import ViewDetector
 from huepose.perception.window_table import window_table
 from huepose.profiles import profile
 from huepose_protos import WireError
-from huepose_protos.messages import DetectedObject, Detections, FrameHeader, PerceptionRequest
+from huepose_protos.messages import (
+    MOST_BOXES,
+    DetectedObject,
+    Detections,
+    FrameHeader,
+    PerceptionRequest,
+)
 from huepose_services import models, networks
 from huepose_services.boxes import BoxFinder, Hints, Pixels, SearchedBoxes, SeenBoxes
 from huepose_services.convert import frame_from_wire
@@ -30,9 +36,6 @@ object."""
 FIRST_ASKS = 5
 """The first checks in a camera epoch, with one object after another, are made although objects are tracked:
 a false positive may have started a track."""
-
-MOST_BOXES = 64
-"""The largest number of boxes in a message (Detections)."""
 
 
 def make(bus: Bus, config: Config) -> DetectorWork:

@@ -70,8 +70,7 @@ class Comparison:
     """The comparison of two files. unit: the unit of the bootstrap, in words; units: their number; paired:
     rows that both files have; only_before, only_after: keys of the rows that only one file has; settings:
     those that differ, before and after; groups: changes by scene or sequence; moved: None if rows have no
-    poses; won, lost: keys of the rows that became right and wrong by the kind's first figure; phantoms:
-    before and after."""
+    poses; won, lost: keys of the rows that became right and wrong by the kind's first figure."""
 
     name: str
     before: Measured
@@ -87,7 +86,6 @@ class Comparison:
     moved: Moved | None
     won: Sequence[tuple[Hashable, ...]]
     lost: Sequence[tuple[Hashable, ...]]
-    phantoms: tuple[float, float]
 
     @property
     def kind(self) -> Kind:
@@ -120,7 +118,6 @@ class Comparison:
             "figures": _figures_json(self.changes),
             "groups": {name: _figures_json(changes) for name, changes in self.groups.items()},
             "moved": None if self.moved is None else vars(self.moved),
-            "phantoms": self.phantoms,
             "won": [self._named(key) for key in self.won],
             "lost": [self._named(key) for key in self.lost],
             "worse": [change.figure.key for change in self.worse],
@@ -187,7 +184,6 @@ def compare(before: Measured, after: Measured, name: str, margin: float = MARGIN
         moved=_moved([before.rows[i] for i in old], [after.rows[i] for i in new]),
         won=[common[i] for i in np.flatnonzero(improved > 0)],
         lost=[common[i] for i in np.flatnonzero(improved < 0)],
-        phantoms=(before.phantoms, after.phantoms),
     )
 
 

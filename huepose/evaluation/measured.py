@@ -102,6 +102,7 @@ TRACK = Kind(
         *_POSES,
         Figure("coverage_tracking", "coverage"),
         Figure("false_tracking_rate", "false TRACKING", better=-1, steps=True),
+        Figure("phantoms", "TRACKING of no instance", better=-1),
         *_QUALITY,
     ),
     ("method", "profile", "protocol", "every", "init", "delayed", "seed"),
@@ -124,8 +125,8 @@ class Measured:
     """A result file. keys: unique keys of the N rows; names: names of the parts of a key; unit: the unit of
     the bootstrap in words; units: the unit of each row; groups: the scene or sequence of each row; shares:
     by the keys of the kind's figures; frames: those with rows; false: number of false poses or boxes by
-    frame, mean over seeds; phantoms: number of tracked poses of no instance, over all frames; searched:
-    number of all frames, also of those without rows, None if the file does not have it."""
+    frame, mean over seeds; searched: number of all frames, also of those without rows, None if the file does
+    not have it."""
 
     path: Path
     kind: Kind
@@ -139,7 +140,6 @@ class Measured:
     shares: Mapping[str, Share]
     frames: frozenset[tuple[str, int]]
     false: Mapping[tuple[str, int], float]
-    phantoms: float = 0.0
     searched: int | None = None
 
 
@@ -182,7 +182,6 @@ def _read(
     shares: Mapping[str, Share],
     units: Units | None = None,
     false: Mapping[tuple[str, int], float] | None = None,
-    phantoms: float = 0.0,
 ) -> Measured:
     """names: the parts of a key; the first two are the scene or sequence and the frame, the last may be the
     seed; units: by default, rows that differ only in the seed are one unit."""
@@ -203,7 +202,6 @@ def _read(
         shares,
         frozenset((key[0], key[1]) for key in keys),
         false or {},
-        phantoms,
         summary.get("frames"),
     )
 
@@ -237,11 +235,11 @@ def _track(path: Path, rows: Sequence[Row], record: Row) -> Measured:
         **_pose_shares(rows, labelled & ~gone),
         "coverage_tracking": Share.of(100.0 * tracking, counts),
         "false_tracking_rate": Share.of(100.0 * false),
+        "phantoms": Share.of(_phantoms(record)),
         **_quality_shares(rows, np.array([m.right for m in moments]), labelled),
     }
     names = ("sequence", "frame", "object", "ordinal", "seed")
-    phantoms = sum(entry["frames"] for entry in record.get("phantoms", [])) / _seeds(rows)
-    return _read(path, TRACK, record, names, shares, unit_of(rows), phantoms=phantoms)
+    return _read(path, TRACK, record, names, shares, unit_of(rows))
 
 
 def _perception(path: Path, rows: Sequence[Row], record: Row) -> Measured:
@@ -276,6 +274,16 @@ def _quality_shares(rows: Sequence[Row], right: np.ndarray, known: np.ndarray) -
 
 def _seeds(rows: Sequence[Row]) -> int:
     return len({row["seed"] for row in rows})
+
+
+def _phantoms(record: Row) -> Float64:
+    """TRACKING poses of no instance, per 100 rows, of each row (N,): a file has only their number in each
+    sequence, so its rows get equal parts."""
+    of = [(row["sequence"], row["seed"]) for row in record["rows"]]
+    rows, poses = Counter(of), Counter[tuple[str, int]]()
+    for entry in record.get("phantoms", []):
+        poses[entry["sequence"], entry["seed"]] += entry["frames"]
+    return np.array([100.0 * poses[one] / rows[one] for one in of])
 
 
 def _false(record: Row, seeds: int) -> dict[tuple[str, int], float]:

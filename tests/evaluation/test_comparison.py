@@ -165,13 +165,27 @@ def test_half_seconds_are_counted_from_the_first_frame_of_a_sequence() -> None:
     assert len(set(unit_of(rows).of)) == 2
 
 
-def test_a_track_without_pose_is_lost_and_phantoms_are_reported(tmp_path: Path) -> None:
+def test_a_track_without_pose_is_lost(tmp_path: Path) -> None:
     right = [True] * 60
     before = write_track(tmp_path / "a.json", right, ["TRACKING"] * 60)
-    after = write_track(tmp_path / "b.json", right, ["TRACKING"] * 59 + ["LOST"], phantoms=4)
-    comparison, changes = compared(before, after)
+    after = write_track(tmp_path / "b.json", right, ["TRACKING"] * 59 + ["LOST"])
+    _, changes = compared(before, after)
     assert (changes["recall_add"].losses, changes["auc_adds"].change) == (1, pytest.approx(-1.5))
-    assert comparison.phantoms == (0.0, 4.0)
+
+
+@pytest.mark.parametrize("sequences", [1, 3])
+def test_more_tracked_poses_of_no_instance_are_worse(tmp_path: Path, sequences: int) -> None:
+    """A robot acts on them, although no instance has a worse pose."""
+    right, states = [True] * 60, ["TRACKING"] * 60
+    before = write_track(tmp_path / "a.json", right, states, sequences)
+    after = write_track(tmp_path / "b.json", right, states, sequences, phantoms=6)
+    comparison, changes = compared(before, after)
+    assert changes["phantoms"].change == pytest.approx(10.0 / sequences)
+    assert [change.figure.key for change in comparison.worse] == ["phantoms"]
+    there = {change.figure.key: change.change for change in comparison.groups["run0"]}
+    assert there["phantoms"] == pytest.approx(10.0)
+    back, changes = compared(after, before)
+    assert (back.worse, changes["phantoms"].verdict) == ([], "better")
 
 
 def test_changes_of_perception_are_compared(tmp_path: Path) -> None:

@@ -74,9 +74,6 @@ def set_text(comparison: Comparison, margin: float) -> str:
         lines.append(f"  measured differently: {key} {old} before, {new} after")
     heading = ("figure", "before", "after", "change", "95 % interval", "wins", "losses", "p", "verdict")
     lines.append(table(heading, [_cells(change) for change in comparison.changes]))
-    if any(comparison.phantoms):
-        counts = "{:g} before, {:g} after".format(*comparison.phantoms)
-        lines.append(f"  poses of no instance published as TRACKING: {counts}")
     lines += _moved_lines(comparison)
     if len(comparison.groups) > 1:
         lines += _group_lines(comparison, margin)

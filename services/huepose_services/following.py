@@ -53,6 +53,7 @@ class Follower(Generic[T]):
         self._loaded: queue.SimpleQueue[tuple[ObjectEntry, T | None, bool]] = queue.SimpleQueue()
         self._one_loads = threading.Lock()
         self._newest: dict[str, ObjectEntry] = {}
+        self._first: set[tuple[str, int, int]] | None = None
 
     def changes(self) -> list[Change[T]]:
         """The changes, in the order in which to apply them; usually none."""
@@ -61,7 +62,7 @@ class Follower(Generic[T]):
         if message is not None:
             if self._memory is not None:
                 self._memory.keep(message)
-            self._newest = {entry.object: entry for entry in message.objects}
+            self._newest = {entry.object: entry for entry in self._without_old_boxes(message.objects)}
             out += self._gone() + self._resets()
             for name, entry in self._newest.items():
                 if name not in self._known and name not in self._loading:
@@ -89,6 +90,16 @@ class Follower(Generic[T]):
         because its model may be another."""
         newest = self._newest.get(entry.object)
         return newest is not None and newest.added == entry.added
+
+    def _without_old_boxes(self, entries: list[ObjectEntry]) -> list[ObjectEntry]:
+        """The entries. A box that was given before the worker's first list is left out: the object may be
+        elsewhere by now."""
+        states = [(entry.object, entry.added, entry.resets) for entry in entries]
+        self._first = set(states) if self._first is None else self._first
+        return [
+            msgspec.structs.replace(entry, box=None) if state in self._first else entry
+            for entry, state in zip(entries, states, strict=True)
+        ]
 
     def _gone(self) -> list[Change[T]]:
         gone = [

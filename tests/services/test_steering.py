@@ -248,6 +248,20 @@ def test_a_model_that_was_read_before_its_object_was_removed_and_added_is_not_us
     assert [change.added for change in _changes(follower)] == ["of Tuesday"]
 
 
+def test_a_worker_that_was_restarted_does_not_use_a_box_that_was_given_before(objects):
+    assert objects.decide(order("add", "jar", box=(1.0, 2.0, 3.0, 4.0)))[0]
+    bus = FakeBus("worker")
+    follower = Follower(bus, str.upper, ["mug"])
+    bus.arriving[ObjectsMessage] = lists(objects)
+    (old,) = _changes(follower)
+    assert (old.added, old.entry.box) == ("JAR", None)
+    for action, name in (("reset", "jar"), ("add", "cup")):
+        assert objects.decide(order(action, name, box=(5.0, 6.0, 7.0, 8.0)))[0]
+        bus.arriving[ObjectsMessage] = lists(objects)
+        (new,) = _changes(follower)
+        assert (new.entry.object, new.entry.box) == (name, (5.0, 6.0, 7.0, 8.0)), "it was given just now"
+
+
 def test_an_object_that_could_not_be_loaded_for_lack_of_memory_is_loaded_with_the_next_list():
     bus, tries = FakeBus("worker"), []
 

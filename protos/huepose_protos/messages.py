@@ -107,10 +107,11 @@ class RequestedObject(Struct, frozen=True, kw_only=True):
 
 
 class PerceptionRequest(Message, frozen=True, kw_only=True):
-    """Which objects to look at in the newest frame. `seq` counts requests; camera_epoch is that of the
-    newest tracked frame, null before the first. An answer after deadline_ns is not waited for. `seen`: epoch
-    and number of a frame for which all of this was answered; while it is the newest, perception waits for the
-    next. `waiting`: other missing objects, which are also searched for if something new looks like them."""
+    """Which objects to look at in the newest frame. `seq` grows with each request; camera_epoch is that of
+    the newest tracked frame, null before the first. An answer after deadline_ns is not waited for. `seen`:
+    epoch and number of a frame for which all of this was answered; while it is the newest, perception waits
+    for the next. `waiting`: other missing objects, which are also searched for if something new looks like
+    them."""
 
     max_bytes: ClassVar[int] = 1024 * KIB
     seq: Count

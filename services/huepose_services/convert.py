@@ -181,8 +181,8 @@ def _requested_to_wire(asked: RequestedObject) -> WireRequested:
     return to_wire(WireRequested, asked, prior=prior, others=[to_wire(WirePrior, o) for o in asked.others])
 
 
-def request_to_wire(request: Request) -> PerceptionRequest:
-    """The message of a request."""
+def request_to_wire(request: Request, seq: int) -> PerceptionRequest:
+    """The message of a request; seq: its number in the message."""
     objects, waiting = (
         [_requested_to_wire(one) for one in some] for some in (request.objects, request.waiting)
     )
@@ -190,7 +190,7 @@ def request_to_wire(request: Request) -> PerceptionRequest:
         PerceptionRequest,
         request,
         publish_ns=now_ns(),
-        seq=request.number,
+        seq=seq,
         objects=objects,
         waiting=waiting,
     )

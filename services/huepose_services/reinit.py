@@ -144,6 +144,9 @@ class ReinitWork(Work):
         self._camera = OneCamera(again_counts=False)
         self._newest = NewestFrame()
         self._tracks: dict[tuple[str, int], TrackedPose] = {}
+        # Added to the numbers of requests in messages, so that these are above all of an earlier loop: it
+        # made less than one request in a millisecond.
+        self._first_seq = now_ns() // 1_000_000
         # The objects of which the request of this number asks for a new instance.
         self._sought: dict[int, tuple[str, ...]] = {}
         self._reasons: dict[str, str] = {}
@@ -220,21 +223,22 @@ class ReinitWork(Work):
             if not self._camera.agrees(answer.camera_epoch, now_ns()):
                 self._bus.health.count("answers_of_another_camera")
                 continue
-            if answer.request_seq > self._loop.counters.requests:
+            number = answer.request_seq - self._first_seq
+            if not 0 < number <= self._loop.counters.requests:
                 # A request of a loop that has died: its tracks may not be known here yet.
                 self._bus.health.count("answers_to_an_earlier_loop")
                 continue
             self._camera_doubt = answer.camera
             if self._counts(answer):
                 self._answered_ns = min(answer.capture_ns, now_ns())
-            corrections = self._loop.answer(now_ns(), result_from_wire(answer))
+            corrections = self._loop.answer(now_ns(), result_from_wire(answer, number))
             for correction in corrections:
                 self._send(correction)
             acquired = {c.object for c in corrections if c.verdict is Verdict.ACQUIRE}
             # In its frame or a later one: an older pose is of a tracker that has died since.
             tracks = (t for t in self._tracks.values() if t.stamp_ns >= answer.capture_ns)
             followed = {t.object for t in tracks if t.T_cam_obj is not None}
-            sought = self._sought.get(answer.request_seq)
+            sought = self._sought.get(number)
             if sought is not None:
                 found = (e.object for e in answer.estimates if e.instance is None)
                 sought = tuple(dict.fromkeys((*sought, *found)))
@@ -253,7 +257,8 @@ class ReinitWork(Work):
         if request is not None:
             new = tuple(item.object for item in request.objects if item.instance is None)
             self._sought = {request.number: new}  # one request is in flight
-            self._bus.put_control(self._bus.keys.request, request_to_wire(request))
+            message = request_to_wire(request, self._first_seq + request.number)
+            self._bus.put_control(self._bus.keys.request, message)
         for correction in self._loop.repeats(now):
             self._send(correction)
         if now >= self._next_objects_ns or self._missing() != self._published_missing:
@@ -403,10 +408,10 @@ def reasons_not_seen(
     return out
 
 
-def result_from_wire(message: Estimates) -> PerceptionResult:
-    """Perception's answer from its message."""
+def result_from_wire(message: Estimates, number: int) -> PerceptionResult:
+    """Perception's answer to the request of this number, from its message."""
     estimates = tuple(
         from_wire(PoseEstimate, e, instance=-1 if e.instance is None else e.instance, alternatives=())
         for e in message.estimates
     )
-    return from_wire(PerceptionResult, message, request=message.request_seq, estimates=estimates)
+    return from_wire(PerceptionResult, message, request=number, estimates=estimates)

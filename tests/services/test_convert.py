@@ -101,9 +101,9 @@ def test_a_correction_is_decoded_unchanged_without_its_mask():
 def test_a_request_and_its_priors_are_decoded_unchanged():
     prior = Prior(T, VELOCITY, COVARIANCE, 1_000_000_000)
     asked = (RequestedObject("thing", 4, prior), RequestedObject("other", None, None, 2))
-    message = _through(request_to_wire(Request(8, None, 20, asked)))
+    message = _through(request_to_wire(Request(8, None, 20, asked), 1008))
     assert isinstance(message, PerceptionRequest)
-    assert (message.seq, message.camera_epoch, message.deadline_ns) == (8, None, 20)
+    assert (message.seq, message.camera_epoch, message.deadline_ns) == (1008, None, 20)
     known, new = message.objects
     assert (new.object, new.instance, new.wanted) == ("other", None, 2)
     back, middle = prior_from_wire(known.prior), np.array([0.01, 0.0, 0.2])
@@ -146,7 +146,7 @@ def test_estimates_are_decoded_unchanged(instance):
             to_wire(EstimatedObject, lost, instance=instance),
         ],
     )
-    result = result_from_wire(_through(message))
+    result = result_from_wire(_through(message), 8)
     assert (result.request, result.epoch, result.frame_id, result.stamp_ns) == (8, 5, 9, 123)
     back, nothing = result.estimates
     assert back.instance == (-1 if instance is None else instance)

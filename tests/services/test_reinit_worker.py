@@ -105,11 +105,18 @@ def test_that_an_object_is_found_is_published_at_once(bus, step):
     assert bus.mug().searching == 0
 
 
-def test_an_answer_to_a_loop_that_has_died_is_not_judged_before_its_tracks_are_known(bus, step):
+@pytest.mark.parametrize("older_s", [0.1, 1000.0])
+def test_an_answer_to_a_loop_that_has_died_is_not_judged_before_its_tracks_are_known(
+    bus, objects, step, older_s, monkeypatch
+):
     """It is about the second of two mugs, and would be given to the first one."""
-    late = msgspec.structs.replace(found(), instance=1)
+    late, before = msgspec.structs.replace(found(), instance=1), FakeBus("reinit")
+    with monkeypatch.context() as patch:
+        patch.setattr("huepose_services.reinit.now_ns", lambda: now_ns() - round(older_s * SECOND))
+        died = ReinitWork(before, ReinitLoop(ReinitConfig(), [ObjectSlot("mug", 1, 0.1)]), objects)
+        died.step()
     step()
-    bus.arriving[Estimates].append(answer(bus, request_seq=500, estimates=[late]))
+    bus.arriving[Estimates].append(answer(before, estimates=[late]))
     step()
     assert not any(isinstance(message, CorrectionMessage) for message in bus.said)
     bus.arriving[Estimates].append(answer(bus, estimates=[found()]))

@@ -94,7 +94,7 @@ class Correction:
     (CLOCK_MONOTONIC). T_cam_obj (4, 4): object to camera, metres; quality in 0..1; seq: the time at which it
     was made, ns, or another number that grows for each instance; mask (H, W) bool at that frame, which only
     the paper's tracker reads; reason, present: those of the estimate that it was made from. Raises InputError
-    if T_cam_obj is no rigid transform (4, 4)."""
+    if T_cam_obj is no rigid transform (4, 4), or quality is not in 0..1."""
 
     object: str
     instance: int
@@ -122,6 +122,9 @@ class Correction:
         if not se3.is_rigid(T, se3.ROUNDED):
             raise _no_pose(self.object, self.T_cam_obj, T)
         object.__setattr__(self, "T_cam_obj", T)
+        if not 0.0 <= self.quality <= 1.0:
+            what = f"quality of the correction of '{self.object}'"
+            raise InputError(what, found=str(self.quality), expected="a probability, 0 to 1")
 
     @staticmethod
     def of(estimate: Estimated, frame: RgbdFrame) -> Correction:
@@ -137,7 +140,7 @@ class Correction:
     def first(name: str, T_cam_obj: Float64, frame: RgbdFrame, quality: float) -> Correction:
         """The correction that starts the first instance of an object from its pose T_cam_obj (4, 4), metres,
         in a frame. quality: the probability that this pose is right, 0..1; 1 for a true pose. Raises
-        InputError if T_cam_obj is no rigid transform."""
+        InputError as Correction does."""
         return Correction(
             name, 0, frame.epoch, frame.frame_id, frame.stamp_ns, T_cam_obj, quality, Verdict.ACQUIRE, 1
         )

@@ -286,6 +286,12 @@ def test_a_first_correction_without_a_valid_pose_is_refused(film, given, found) 
     assert "expected a rigid transform (4, 4)" in str(caught.value)
 
 
+@pytest.mark.parametrize("quality", [np.nan, -0.1, 95.0])
+def test_a_quality_that_is_no_probability_is_refused(film, path, quality) -> None:
+    with pytest.raises(InputError, match=f"quality of .* 'tea_box': found {quality}; expected a probability"):
+        Correction.first("tea_box", path(0), film(1)[0], quality)
+
+
 def test_a_pose_as_lists_or_float32_starts_a_track(tea_box, film, path) -> None:
     frame = film(1)[0]
     for given in (path(0).tolist(), path(0).astype(np.float32)):

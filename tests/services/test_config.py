@@ -18,7 +18,7 @@ from huepose_protos import decode, encode
 from huepose_protos.examples import example
 from huepose_protos.messages import FrameHeader
 from huepose_services.cli.main import main
-from huepose_services.cli.validate import _unread
+from huepose_services.cli.validate import _unread, _unused
 from huepose_services.runtime.config import WORKERS, Config, Section, load, load_all, parse_all
 from huepose_services.runtime.config_perception import CameraConfig, DetectorConfig, DeviceConfig
 from tests.services.conftest import parse
@@ -446,10 +446,32 @@ def test_validate_notes_that_no_worker_searches_for_objects(validated):
     assert "is ever found" not in validated("workers: [camera]\ncamera: {source: synthetic}\n")
 
 
-def test_validate_notes_a_section_of_a_worker_that_is_not_started(validated):
-    said = "the section `gateway` is set, but gateway is not among the workers"
-    assert f"NOTE     {said}" in validated("gateway: {listen: '0.0.0.0:7447'}\n")
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "gateway: {listen: '0.0.0.0:7447'}",
+            "the section `gateway` is set, but gateway is not among the workers",
+        ),
+        ("cpus: {viewer: [0], camera: [0]}", "cpus.viewer is set, but viewer is not among the workers"),
+        ("link: {listen: '0.0.0.0:7449'}", "the section `link` is set, but there are no `hosts`"),
+    ],
+)
+def test_validate_notes_a_section_of_a_worker_that_is_not_started(validated, text, said):
+    out = validated(f"{text}\n")
+    assert (out.count("NOTE"), out.count(f"\n  NOTE     {said}\n")) == (1, 1)
+
+
+def test_validate_does_not_note_defaults_nor_workers_of_the_other_computer(validated):
     assert "NOTE" not in validated("gateway: {listen: '127.0.0.1:7447'}\n"), "the same as without the line"
+    text = (
+        "workers: [camera, tracker, reinit, detector, segmenter, estimator, gateway]\n"
+        "gateway: {listen: '0.0.0.0:7447'}\nlink: {listen: '0.0.0.0:7449', connect: 'robot:7449'}\n"
+        "hosts: {desk: [estimator]}\ncpus: {camera: [0], estimator: [0], uplink: [0], downlink: [0]}\n"
+    )
+    written = parse(text, Path("p.yaml"))
+    for host in (None, "desk"):
+        assert _unused(written.at(host), written) == []
 
 
 @pytest.mark.parametrize(

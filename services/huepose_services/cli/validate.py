@@ -143,15 +143,24 @@ def _never_found(config: Config) -> list[str]:
 
 
 def _unused(config: Config, written: Config) -> list[str]:
-    """A sentence for each section of the file whose worker is not started."""
+    """A sentence for each section of the file whose worker is not started, or whose second computer is
+    missing."""
     from huepose_services.runtime.config import Config
 
-    there, default = (*config.workers, *config.far), Config()
-    return [
-        f"the section `{worker}` is set, but {worker} is not among the workers"
+    default = Config()
+    there = {*written.workers, *config.far, *(("uplink", "downlink") if config.hosts else ())}
+    unused = [
+        (f"the section `{worker}`", worker)
         for worker in ("gateway", "viewer", "ros2")
-        if worker not in there and getattr(written, worker) != getattr(default, worker)
+        if getattr(written, worker) != getattr(default, worker)
     ]
+    unused += [(f"cpus.{worker}", worker) for worker in written.cpus]
+    notes = [
+        f"{key} is set, but {name} is not among the workers" for key, name in unused if name not in there
+    ]
+    if written.link != default.link and not config.hosts:
+        notes.append("the section `link` is set, but there are no `hosts`")
+    return notes
 
 
 def _unread(config: Config) -> list[str]:

@@ -51,9 +51,12 @@ def whole(path: Path) -> Iterator[Path]:
 def writing(
     place: Path | str, expected: str = "a place that can be written", fix: str = ""
 ) -> Iterator[None]:
-    """An OSError inside the context becomes an InputError about `place`."""
+    """An OSError inside the context becomes an InputError about `place`. But that the reader of a pipe has
+    ended is no error of the place."""
     try:
         yield
+    except BrokenPipeError:
+        raise
     except OSError as error:
         raise InputError(place, found=error.strerror or str(error), expected=expected, fix=fix) from None
 

@@ -1,6 +1,7 @@
 """What `huepose poses` prints of a pose, in the camera's frame and in the robot's."""
 
 import json
+import os
 import time
 from types import SimpleNamespace
 
@@ -74,6 +75,22 @@ def test_a_full_disk_is_named_and_no_empty_file_is_left(pose, tmp_path):
         with full_disk(len(written)), pytest.raises(InputError, match=f"{csv}: found File too large"):
             files.take(pose)
     assert csv.read_bytes() == written
+
+
+def test_poses_end_quietly_when_the_reader_of_their_csv_has_ended(pose, capsys, monkeypatch):
+    """As `huepose poses --csv /dev/stdout | head` does."""
+    read, write = os.pipe()
+
+    def published(*_):
+        yield pose
+        os.close(read)
+        yield from [pose] * 3
+
+    monkeypatch.setattr("huepose_services.cli.poses._messages", published)
+    monkeypatch.setattr("huepose_services.cli.main._discard_output", lambda out: None)
+    assert main(["poses", "--csv", f"/dev/fd/{write}"]) == 0
+    os.close(write)
+    assert capsys.readouterr().err == ""
 
 
 def test_tracking_poses_are_written_for_calibration_and_as_trajectories(pose, tmp_path):

@@ -14,6 +14,8 @@ from huepose.geometry.arrays import Float64
 from huepose.onboarding.declared import check_symmetries
 from huepose.support.errors import InputError
 
+_NUMBERED = re.compile(r"obj_(\d+)\.(ply|obj)")
+
 
 @dataclass(frozen=True, eq=False)
 class BopModel:
@@ -40,7 +42,7 @@ def bop_models(folder: Path | str, ids: Collection[int] | None = None) -> list[B
     meshes: dict[int, Path] = {}
     for suffix in (".ply", ".obj"):  # if there are both, the OBJ is used: it has a texture
         for path in sorted(folder.glob(f"obj_*{suffix}")):
-            if number := re.fullmatch(r"obj_(\d+)", path.stem):
+            if number := _NUMBERED.fullmatch(path.name):
                 meshes[int(number[1])] = path
     if not meshes:
         raise InputError(
@@ -67,6 +69,14 @@ def bop_models(folder: Path | str, ids: Collection[int] | None = None) -> list[B
     if twice:
         raise InputError(folder, found=f"two objects named {twice}", expected="unique names")
     return out
+
+
+def other_meshes(folder: Path) -> list[str]:
+    """The mesh files of a folder that `bop_models` does not take, because of their names."""
+    meshes = (
+        path.name for path in folder.iterdir() if path.suffix.lower() in (".ply", ".obj", ".glb", ".gltf")
+    )
+    return sorted(name for name in meshes if not _NUMBERED.fullmatch(name))
 
 
 def safe_name(text: str) -> str:

@@ -295,6 +295,18 @@ def test_a_folder_instead_of_a_mesh_is_refused(
     assert said.endswith(fix.format(folder / inside) + "\n")
 
 
+def test_meshes_of_a_folder_that_are_not_onboarded_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("huepose_services.cli.onboard.onboard_models", lambda *given: [])
+    for name in ("obj_000001.ply", "obj_000001.obj", "Tuna can.obj", "obj_000002.PLY", "obj_000001.png"):
+        (tmp_path / name).touch()
+    assert main(["onboard-bop", str(tmp_path), "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().err
+    why = "not onboarded, because the name is not obj_NNNNNN.ply or .obj"
+    assert said == f"note: {why}: Tuna can.obj, obj_000002.PLY\n"
+
+
 @pytest.mark.parametrize("processes", ["0", "-1"])
 def test_a_folder_is_onboarded_by_one_process_or_more(tmp_path: Path, refused: Says, processes: str) -> None:
     command = ["onboard-bop", str(tmp_path), "--out", str(tmp_path / "out"), "--processes", processes]

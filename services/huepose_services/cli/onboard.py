@@ -201,10 +201,12 @@ def _report_notes(result: Onboarded, before: tuple[str, str] | None, to_have_bot
 
 def call_bop(arguments: argparse.Namespace) -> int:
     """Onboard a folder; an object that fails is reported, and the others are still onboarded."""
-    from huepose.onboarding.bop_folder import bop_models
+    from huepose.onboarding.bop_folder import bop_models, other_meshes
 
     check_folder(arguments.out)
     models = bop_models(arguments.models_dir, arguments.ids)
+    if others := other_meshes(arguments.models_dir):
+        say(f"note: not onboarded, because the name is not obj_NNNNNN.ply or .obj: {', '.join(others)}")
     failed = onboard_models(models, arguments.out, arguments.paper, arguments.processes)
     if failed:
         names = ", ".join(failed)

@@ -90,12 +90,22 @@ class Tracker:
         return tuple(self._subjects)
 
     def surface(self, name: str) -> PreparedSurface:
-        """The prepared surface of a known object."""
-        return self._subjects[name].surface
+        """The prepared surface of a known object. Raises InputError for an unknown one."""
+        return self._subject(name, "surface").surface
 
     def contours(self, name: str) -> Contours:
-        """The contours of a known object."""
-        return self._subjects[name].contours
+        """The contours of a known object. Raises InputError for an unknown one."""
+        return self._subject(name, "contours").contours
+
+    def _subject(self, name: str, asked: str) -> Subject:
+        if name not in self._subjects:
+            raise InputError(
+                asked,
+                found=f"object '{name}'",
+                expected=f"one of {', '.join(self._subjects) or 'no objects at all'}",
+                fix="Add the object to the tracker's models.",
+            )
+        return self._subjects[name]
 
     def doubt(self, name: str, instance: int) -> Doubt | None:
         """The one reason why an instance whose pose fits the frame is not `TRACKING`; None if there is
@@ -221,13 +231,7 @@ class Tracker:
         """
         require(correction, Correction, "correction", "a Correction", "Make one: Correction.of(pose, frame).")
         key = correction.key
-        if correction.object not in self._subjects:
-            raise InputError(
-                f"correction {correction.seq}",
-                found=f"object '{correction.object}'",
-                expected=f"one of {', '.join(self._subjects) or 'no objects at all'}",
-                fix="Add the object to the tracker's models.",
-            )
+        self._subject(correction.object, f"correction {correction.seq}")
         newest = self._frames.newest
         if newest is not None and correction.epoch != newest.epoch:
             return Applied.REFUSED_EPOCH

@@ -88,6 +88,9 @@ def test_corrections_that_cannot_be_applied_are_refused(tea_box, film, path, sta
     assert started.correct(foreign) is Applied.REFUSED_EPOCH
     with pytest.raises(InputError, match="tea_cup"):
         started.correct(correction(old, path(0), name="tea_cup"))
+    for asked in (started.surface, started.contours):
+        with pytest.raises(InputError, match=r"found object 'tea_cup'; expected one of tea_box\. Add the"):
+            asked("tea_cup")
 
 
 def test_a_skipped_frame_is_corrected_between_its_neighbours(tea_box, film, path) -> None:

@@ -23,7 +23,7 @@ from huepose_protos.messages import (
 from huepose_services import models, networks
 from huepose_services.boxes import BoxFinder, Hints, Pixels, SearchedBoxes, SeenBoxes
 from huepose_services.convert import frame_from_wire
-from huepose_services.following import Follower
+from huepose_services.following import Follower, reading_text
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
@@ -76,6 +76,7 @@ class DetectorWork(Work):
     ) -> None:
         self._bus, self._finder, self._objects = bus, finder, objects
         self._hints = Hints()
+        self._reading: frozenset[str] = frozenset()
         self._warn_of_classes()
         self._requests = Requests(bus, looks=True)
         self._check_camera, self._colours = check_camera, ""
@@ -104,6 +105,11 @@ class DetectorWork(Work):
             if entry.box is not None:
                 self._hints.point(entry.object, Box(*entry.box), now_ns(), entry.retired)
             self._warn_of_classes()
+        reading = self._objects.reading
+        for name in reading ^ self._reading:
+            text = reading_text(name) if name in reading else None
+            self._bus.health.warn_while(f"reading {name}", text)
+        self._reading = reading
 
     def _warn_of_classes(self) -> None:
         self._bus.health.warn_while("classes", self._finder.lacks() or None)

@@ -55,6 +55,11 @@ class Follower(Generic[T]):
         self._newest: dict[str, ObjectEntry] = {}
         self._first: set[tuple[str, int, int]] | None = None
 
+    @property
+    def reading(self) -> frozenset[str]:
+        """The added objects whose models are being read."""
+        return frozenset(self._loading)
+
     def changes(self) -> list[Change[T]]:
         """The changes, in the order in which to apply them; usually none."""
         message = self._bus.take(self._list, ObjectsMessage)
@@ -138,6 +143,11 @@ class Follower(Generic[T]):
     def _fail(self, text: str) -> None:
         self._bus.health.failed(text)
         self._bus.log.seldom("load", text, level="error")
+
+
+def reading_text(name: str) -> str:
+    """The warning of a worker while it reads the model of an added object."""
+    return f"the reference model of {name} is being read"
 
 
 class Memory:

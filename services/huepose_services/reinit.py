@@ -30,7 +30,7 @@ from huepose_protos.messages import (
 )
 from huepose_services import models
 from huepose_services.convert import from_wire, request_to_wire, to_wire
-from huepose_services.following import Retired, recall
+from huepose_services.following import Retired, reading_text, recall
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, check_number, now_ns
 from huepose_services.runtime.config import Config, ObjectConfig
@@ -53,6 +53,7 @@ _LISTENERS = (*PERCEPTION, "uplink")
 # Upper bounds: bytes of an entry without its reason, and of the rest of a ControlReply, which also has the
 # list.
 _ENTRY_BYTES, _REST_BYTES = 200, 8192
+_READING = "The detector is still reading its reference model."
 _UNCONFIRMED = "Something was found, but the tracker has not confirmed it."
 
 
@@ -139,7 +140,7 @@ class ReinitWork(Work):
         self._poses = bus.inbox.queue(bus.keys.poses, wakes=False)
         self._answers = bus.inbox.queue(bus.keys.estimates)
         self._cameras = bus.inbox.ring(bus.keys.camera_info, wakes=False)
-        self._camera_health = bus.inbox.ring(bus.keys.health("camera"), wakes=False)
+        self._health = bus.inbox.queue(bus.keys.health(), wakes=False)
         self._live = bus.inbox.liveliness(bus.keys.live())
         self._camera = OneCamera(again_counts=False)
         self._newest = NewestFrame()
@@ -152,6 +153,7 @@ class ReinitWork(Work):
         self._reasons: dict[str, str] = {}
         self._image_has_fault = False
         self._camera_fault = ""
+        self._detector_warns: list[str] = []
         self._answered_ns = 0
         self._newest_frame: tuple[int, int] | None = None
         self._camera_doubt = ""
@@ -209,7 +211,11 @@ class ReinitWork(Work):
         self._apply_orders()
         while (camera := self._bus.take(self._cameras, CameraMessage)) is not None:
             self._objects.picture_size = (camera.intrinsics.width, camera.intrinsics.height)
-        while (health := self._bus.take(self._camera_health, HealthMessage)) is not None:
+        while (health := self._bus.take(self._health, HealthMessage)) is not None:
+            if health.worker == "detector":
+                self._detector_warns = health.warnings
+            if health.worker != "camera":
+                continue
             if health.camera_epoch is not None and health.frame_id is not None:
                 self._newest_frame = (health.camera_epoch, health.frame_id)
             if health.picture != self._camera_fault:
@@ -342,7 +348,8 @@ class ReinitWork(Work):
             if count < before.get(name, 0) and self._reasons.get(name) == _UNCONFIRMED:
                 del self._reasons[name]  # it is confirmed, and another one is searched for
             # A fault that the camera itself reports is the better reason.
-            reason = self._camera_fault or (self._reasons.get(name, "") if count else "")
+            said = _READING if reading_text(name) in self._detector_warns else self._reasons.get(name, "")
+            reason = self._camera_fault or (said if count else "")
             self._objects.tell(name, count, self._retired.below.get(name), shortened(reason, len(entries)))
         # A change that was accepted in this moment is published by the next step, which applies it.
         if (settled := self._objects.settled()) is not None:

@@ -1,5 +1,7 @@
 """What the detector worker reports while it finds nothing."""
 
+import threading
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -11,14 +13,21 @@ from huepose.perception.exchanged import ChannelOrder
 from huepose.perception.view_detector import ViewDetector
 from huepose_protos import decode, encode
 from huepose_protos.examples import GOLDEN, example
-from huepose_protos.messages import Detections, FrameHeader, PerceptionRequest, RequestedObject
+from huepose_protos.messages import (
+    Detections,
+    FrameHeader,
+    ObjectsMessage,
+    PerceptionRequest,
+    RequestedObject,
+)
 from huepose_services import detector as worker
 from huepose_services import models
 from huepose_services.boxes import SearchedBoxes, detected
 from huepose_services.detector import ASK_EVERY_NS, DetectorWork
+from huepose_services.following import Follower, reading_text
 from huepose_services.models import outline
 from huepose_services.runtime.config import Config
-from tests.services.fake_bus import FakeBus, sent
+from tests.services.fake_bus import FakeBus, listed, sent
 
 
 def test_images_with_red_and_blue_exchanged_are_reported(monkeypatch, tea_box, box_frame):
@@ -26,7 +35,7 @@ def test_images_with_red_and_blue_exchanged_are_reported(monkeypatch, tea_box, b
     monkeypatch.setattr(worker, "now_ns", lambda: now[0])
     bus = FakeBus("detector")
     finder = SearchedBoxes({"tea_box": outline(tea_box)}, ViewDetector({"tea_box": tea_box}))
-    work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
+    work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: [], reading=frozenset()))
     wanted = [RequestedObject(object="tea_box", instance=None)]
     request = msgspec.structs.replace(example(PerceptionRequest), objects=wanted)
 
@@ -64,7 +73,7 @@ def test_the_order_of_the_colours_is_checked_a_limited_number_of_times(monkeypat
     finder.order_of_channels = ask
     finder.find = lambda *asked: []
     bus = FakeBus("detector")
-    work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
+    work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: [], reading=frozenset()))
     header = example(FrameHeader)
     followed = example(PerceptionRequest)
     assert followed.objects[0].prior is not None
@@ -88,7 +97,7 @@ def test_a_request_that_comes_before_the_first_frame_waits_for_it():
     finder = SearchedBoxes({}, ViewDetector({}))
     finder.find = lambda *asked: []
     bus = FakeBus("detector")
-    work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
+    work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: [], reading=frozenset()))
     request, header = example(PerceptionRequest), example(FrameHeader)
     bus.arriving[PerceptionRequest] = [request]
     assert work.due_ns() is None
@@ -111,7 +120,7 @@ def test_a_request_about_a_frame_that_was_answered_waits_for_the_next_one():
     finder = SearchedBoxes({}, ViewDetector({}))
     finder.find = lambda *asked: []
     bus = FakeBus("detector")
-    work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
+    work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: [], reading=frozenset()))
     header, payload = example(FrameHeader), (GOLDEN / "frame_payload.bin").read_bytes()
     seen = msgspec.structs.replace(example(PerceptionRequest), seen=(header.camera_epoch, header.frame_id))
     bus.arriving |= {FrameHeader: [(header, payload)], PerceptionRequest: [seen]}
@@ -137,6 +146,23 @@ def test_the_views_of_an_added_object_are_prepared_while_it_is_loaded(tea_box, m
     assert prepared == [tea_box]
 
 
+def test_while_the_model_of_an_added_object_is_read_a_warning_says_so():
+    go_on = threading.Event()
+    bus = FakeBus("detector")
+    finder = SearchedBoxes({}, ViewDetector({}))
+    finder.add = lambda model: None
+    follower = Follower(bus, lambda name: go_on.wait(5.0), [])
+    work = DetectorWork(bus, finder, follower)
+    bus.arriving[ObjectsMessage] = [listed("mug")]
+    work.step()
+    assert bus.health.message().warnings == [reading_text("mug")]
+    go_on.set()
+    until = time.monotonic() + 5.0
+    while bus.health.message().warnings and time.monotonic() < until:
+        work.step()
+    assert bus.health.message().warnings == []
+
+
 def test_more_boxes_than_a_message_can_have_are_left_out_last_of_each_object_first():
     wanted = [RequestedObject(object=name, instance=None, wanted=40) for name in ("cup", "box")]
     wanted.append(RequestedObject(object="can", instance=0))
@@ -146,7 +172,9 @@ def test_more_boxes_than_a_message_can_have_are_left_out_last_of_each_object_fir
         detected(one, Box(k, 0.0, 1.0, 1.0)) for one in wanted for k in range(one.wanted)
     ]
     bus = FakeBus("detector")
-    work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []), check_camera=False)
+    work = DetectorWork(
+        bus, finder, SimpleNamespace(changes=lambda: [], reading=frozenset()), check_camera=False
+    )
     pixels = (GOLDEN / "frame_payload.bin").read_bytes()
     bus.arriving |= {FrameHeader: [(example(FrameHeader), pixels)], PerceptionRequest: [request]}
     work.step()

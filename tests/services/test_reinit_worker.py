@@ -23,6 +23,7 @@ from huepose_protos.messages import (
     PerceptionRequest,
     PoseMessage,
 )
+from huepose_services.following import reading_text
 from huepose_services.reinit import ReinitWork, make, slow_text
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config, ObjectConfig
@@ -85,6 +86,10 @@ def answer(bus, **changes):
     return msgspec.structs.replace(message, **changes)
 
 
+def health(worker, **changes):
+    return msgspec.structs.replace(example(HealthMessage), worker=worker, **changes)
+
+
 def found():
     """The estimate of a new mug, TRACKING."""
     return msgspec.structs.replace(
@@ -137,8 +142,7 @@ def test_a_request_expires_only_if_the_camera_has_given_another_frame(
         at[0] += after_ns
         work.step()
 
-    camera = {"worker": "camera", "camera_epoch": EPOCH, "frame_id": frame_id}
-    bus.arriving[HealthMessage].append(msgspec.structs.replace(example(HealthMessage), **camera))
+    bus.arriving[HealthMessage].append(health("camera", camera_epoch=EPOCH, frame_id=frame_id))
     for _ in range(3):  # the object is searched for everywhere by turns
         step(SECOND // 5)
         asked = [m for m in bus.said if isinstance(m, PerceptionRequest)][-1]
@@ -329,21 +333,34 @@ def test_a_fault_of_the_image_is_the_reason_why_nothing_is_found_in_it(bus, obje
 def test_a_fault_that_the_camera_reports_comes_before_one_that_perception_reports(bus, step):
     step()
     said = "cam.py: depth looks like millimetres read as metres"
-    bus.arriving[HealthMessage].append(msgspec.structs.replace(example(HealthMessage), picture=said))
+    bus.arriving[HealthMessage].append(health("camera", picture=said))
     bus.arriving[Estimates].append(answer(bus, picture="The frame has no depth."))
     step()
     assert bus.mug().reason == said
-    bus.arriving[HealthMessage].append(example(HealthMessage))
+    bus.arriving[HealthMessage].append(health("camera"))
     step()
     assert bus.mug().reason == "The frame has no depth."
+
+
+def test_that_the_detector_reads_the_model_is_the_reason_of_an_object_that_was_added(bus, step):
+    step()
+    bus.arriving[HealthMessage].append(health("detector", warnings=[reading_text("mug")]))
+    bus.arriving[Estimates].append(answer(bus))
+    step()
+    bus.work._next_objects_ns = 0
+    step()
+    assert bus.mug().reason == "The detector is still reading its reference model."
+    bus.arriving[HealthMessage] += [health("detector"), health("tracker", warnings=[reading_text("mug")])]
+    bus.work._next_objects_ns = 0
+    step()
+    assert bus.mug().reason == "No place in the image looks like the object."
 
 
 def test_that_no_image_comes_is_also_the_reason_of_an_object_that_was_found(bus, step):
     bus.arriving[PoseMessage].append(pose(0))
     step()
     assert (bus.mug().searching, bus.mug().reason) == (0, "")
-    health = msgspec.structs.replace(example(HealthMessage), picture="No image comes.")
-    bus.arriving[HealthMessage].append(health)
+    bus.arriving[HealthMessage].append(health("camera", picture="No image comes."))
     step()
     assert (bus.mug().searching, bus.mug().reason) == (0, "No image comes.")
 

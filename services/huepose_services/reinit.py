@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import asdict, replace
-from typing import Literal
 
 from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
@@ -15,12 +14,10 @@ from huepose.reinit import ReinitConfig, ReinitLoop, warm_up
 from huepose.reinit.newest_frame import Began, NewestFrame
 from huepose.reinit.types import ObjectSlot, PerceptionResult
 from huepose.support.errors import InputError
-from huepose.support.words import listed
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 from huepose_protos import WireError
 from huepose_protos.messages import (
     CameraMessage,
-    ControlRequest,
     CorrectionMessage,
     Estimates,
     HealthMessage,
@@ -31,6 +28,7 @@ from huepose_protos.messages import (
 from huepose_services import models
 from huepose_services.convert import from_wire, request_to_wire, to_wire
 from huepose_services.following import Retired, reading_text, recall
+from huepose_services.objects_of_file import ObjectsOfFile, unlike_file
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, check_number, now_ns
 from huepose_services.runtime.config import Config, ObjectConfig
@@ -101,17 +99,6 @@ def require_carried(objects: Sequence[ObjectConfig]) -> None:
         )
 
 
-def unlike_file(entries: Sequence[ObjectEntry], configured: Sequence[ObjectConfig]) -> str:
-    """How the list that another worker remembers differs from that of the file, in one sentence: a command
-    may have changed the list, or somebody the file. Empty if they agree, or if the file names no object."""
-    known, named = {entry.object for entry in entries}, {item.name for item in configured}
-    unlike = (("not in the file", known - named), ("only in the file", named - known))
-    parts = [f"{what}: {listed(sorted(names))}" for what, names in unlike if names]
-    if not named or not parts:
-        return ""
-    return f"objects are searched for as before the restart; {'; '.join(parts)} (huepose objects add, remove)"
-
-
 def _settings(config: Config) -> ReinitConfig:
     return ReinitConfig(
         period_ms=1000.0 / config.reinit.rate_hz,
@@ -127,14 +114,8 @@ class ReinitWork(Work):
     def __init__(
         self, bus: Bus, loop: ReinitLoop, objects: ObjectList, configured: Sequence[ObjectConfig] = ()
     ) -> None:
-        # The objects of the file that are searched for: a remembered list may have other names than the
-        # file.
-        counts = {entry.object: entry.max_instances for entry in objects.entries()}
-        self._names_objects = bool(configured)
-        self._of_file = {item.name: counts[item.name] for item in configured if item.name in counts}
-        self._orders_of_file: dict[str, ControlRequest] = {}
-        self._refused: list[str] = []
         self._bus, self._loop, self._objects = bus, loop, objects
+        self._file = ObjectsOfFile(bus, objects, configured)
         answer_control(bus, objects)
         self._retired = Retired.of(objects.entries())
         self._poses = bus.inbox.queue(bus.keys.poses, wakes=False)
@@ -163,42 +144,9 @@ class ReinitWork(Work):
         self._next_tick_ns = self._next_objects_ns = now_ns()
 
     def reload(self, config: Config) -> list[str]:
-        """Take over the section `reinit`, and note which objects were added to or removed from the file: each
-        step changes one of them. Objects that were added by command stay."""
+        """Take over the section `reinit`, and follow the objects of the file."""
         self._loop.config = _settings(config)
-        before, after = self._of_file, {item.name: item.max_instances for item in config.objects}
-        if self._names_objects != bool(after):
-            return ["a change that waits for the next start: objects (from all models to some, or back)"]
-        now = {entry.object: entry.max_instances for entry in self._objects.entries()}
-        orders = {name: _order("remove", name) for name in before if name not in after and name in now}
-        orders |= {
-            name: _order("add", name, count)
-            for name, count in after.items()
-            if count not in (before.get(name), now.get(name))
-        }
-        self._of_file = {name: count for name, count in after.items() if name not in orders}
-        self._of_file |= {name: before[name] for name in orders if name in before}
-        self._orders_of_file, self._refused = orders, []
-        self._bus.health.warn_while("objects", None)
-        return []
-
-    def _follow_file(self) -> None:
-        """Change one object as the file says. Only one: to load many models takes longer than a worker may be
-        silent."""
-        if not self._orders_of_file:
-            return
-        name = next(iter(self._orders_of_file))
-        order = self._orders_of_file.pop(name)
-        done, text = self._objects.decide(order)
-        if not done:
-            # It is tried again when the file is next read: its model may be there by then.
-            self._refused.append(text)
-            self._bus.log.say(text, "warn")
-            self._bus.health.warn_while("objects", "; ".join(self._refused))
-        elif order.action == "add":
-            self._of_file[name] = order.max_instances
-        else:
-            self._of_file.pop(name, None)
+        return self._file.reload(config.objects)
 
     def due_ns(self) -> int | None:
         """When to take poses, 30 times a second; answers wake the worker."""
@@ -207,7 +155,7 @@ class ReinitWork(Work):
     def step(self) -> None:
         """Take what arrived; tick the loop when it is due."""
         started = now_ns()
-        self._follow_file()
+        self._file.step()
         self._apply_orders()
         while (camera := self._bus.take(self._cameras, CameraMessage)) is not None:
             self._objects.picture_size = (camera.intrinsics.width, camera.intrinsics.height)
@@ -354,10 +302,6 @@ class ReinitWork(Work):
         # A change that was accepted in this moment is published by the next step, which applies it.
         if (settled := self._objects.settled()) is not None:
             self._bus.put(self._bus.keys.objects, ObjectsMessage(publish_ns=now_ns(), objects=settled))
-
-
-def _order(action: Literal["add", "remove"], name: str, count: int = 1) -> ControlRequest:
-    return ControlRequest(publish_ns=now_ns(), action=action, object=name, max_instances=count)
 
 
 def shortened(reason: str, objects: int) -> str:

@@ -164,8 +164,8 @@ def test_many_objects_are_loaded_in_many_steps():
 
 def _settled(work):
     """Let a worker change all objects as its file says."""
-    while work._orders_of_file:
-        work._follow_file()
+    while work._file._orders:
+        work._file.step()
 
 
 def test_after_a_restart_missing_objects_of_the_file_are_added_when_it_is_read_again():

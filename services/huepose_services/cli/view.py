@@ -57,7 +57,7 @@ def call(arguments: argparse.Namespace) -> int:
     """Show until a signal or the time limit ends it."""
     _check_file(arguments.save)
     single_threaded()
-    config = chosen_config(arguments)
+    config = chosen_config(arguments, names_suffice=True)
     recording = _open(arguments, config)
     stopping = catch_stop_signals()
 
@@ -66,7 +66,7 @@ def call(arguments: argparse.Namespace) -> int:
         threading.Thread(target=_end, args=(stopping,), daemon=True).start()
     end = time.monotonic() + seconds
     if wait_for_pipeline(arguments, stopping, end):
-        config = chosen_config(arguments)
+        config = chosen_config(arguments, names_suffice=True)
     pictures, failed = _run(config, recording, end, stopping, arguments)
     recording.disconnect()
     if failed:
@@ -165,17 +165,24 @@ def _run(
 
 def _drawn(bus: Bus, config: Config, arguments: argparse.Namespace) -> tuple[dict[str, Body], Follower[Body]]:
     """What is drawn: all objects of a pipeline whose file is known; of another one, or of a recording that
-    is played, the objects in its list."""
+    is played, the objects in its list; none if the file has become invalid, which names their folder."""
     from huepose_services import models
     from huepose_services.following import Follower
     from huepose_services.recording import its_models
+    from huepose_services.runtime.config import WORKERS
     from huepose_services.viewer.shapes import Body
 
-    pipeline = chosen(arguments, tell=False)
-    known = models.load(config) if pipeline.file and not pipeline.recorded else {}
+    pipeline, invalid = chosen(arguments, tell=False), config.workers == WORKERS
+    known = models.load(config) if pipeline.file and not (pipeline.recorded or invalid) else {}
     bodies = {name: Body.of(model, arguments.pairs) for name, model in known.items()}
 
     def load(name: str) -> Body:
+        if invalid:
+            raise InputError(
+                f"the model of {name}, which is not drawn",
+                found=f"an error in {pipeline.file}, which names its folder",
+                fix="`huepose validate` says what is wrong there.",
+            )
         if pipeline.recorded:
             return Body.of(its_models.load_one(Path(pipeline.file), name), arguments.pairs)
         return Body.of(models.load_one(config, name), arguments.pairs)

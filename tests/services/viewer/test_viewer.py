@@ -447,3 +447,28 @@ def test_an_object_that_is_added_later_is_drawn_with_its_colour_pairs(tea_box, t
     body = until(lambda: follower.keep_up(drawn) or drawn.get("tea_box"))
     assert body.whole is not None
     assert (body.mesh.vertices == tea_box.mesh.vertices).all()
+
+
+def test_a_running_pipeline_is_shown_without_models_if_its_file_is_wrong_now(tmp_path, monkeypatch):
+    from argparse import Namespace
+
+    from huepose_services.cli import view
+    from huepose_services.runtime.running import Pipeline, noted
+
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "pipeline.yaml"
+    path.write_text("camera: {rte: 3}\n")
+    arguments = Namespace(config=None, pipeline=None, pairs=False, save=tmp_path / "a.rrd", seconds=None)
+    shown, bus = [], FakeBus("view")
+    for name in ("single_threaded", "catch_stop_signals"):
+        monkeypatch.setattr(view, name, lambda: None)
+    monkeypatch.setattr(view, "_run", lambda config, *more: (shown.append(config) or 0, ""))
+    running = Pipeline(base_port=29347, site="lab", camera="cam0", file=str(path), workers=("camera",))
+    with noted(running):
+        assert view.call(arguments) == 1, "no image came"
+        drawn, follower = view._drawn(bus, shown[0], arguments)
+        assert (shown[0].keys.site, drawn) == ("lab", {})
+        bus.arriving[ObjectsMessage].append(listed("tea_box"))
+        (said,) = until(lambda: follower.keep_up(drawn) or bus.logged["load"])
+    assert said.startswith("the model of tea_box, which is not drawn: found an error in")

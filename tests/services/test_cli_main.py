@@ -72,7 +72,7 @@ def test_a_file_for_a_folder_and_a_folder_for_a_file_are_refused_before_the_work
         ["onboard", "no_mesh.obj", "--name", "brick", "--out", "/proc"],
         ["new", "brick", "no_mesh.obj"],
         ["record", "r.mcap"],
-        ["bench", "estimate", "--picture", "/proc/stages.png"],
+        ["bench", "estimate", "--image", "/proc/stages.png"],
     ],
 )
 def test_a_folder_that_cannot_be_written_is_refused_before_the_work(

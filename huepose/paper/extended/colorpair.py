@@ -99,7 +99,7 @@ def estimate_by_pairs(
     proposal: no depth, or neither pairs nor a plausible start pose from shape.
     """
     region = evidence.region
-    with stage("picture"):
+    with stage("image"):
         picture = pair_image(model, region.crop, region.median_depth_m)
     poses = proposed_by_pairs(model, evidence, picture, config, rng)
     if not len(poses):

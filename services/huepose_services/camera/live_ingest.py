@@ -149,7 +149,7 @@ class LiveIngest(Work):
         if self._condition.look(taken.shot, now_ns(), taken.device_clock_is_host):
             self._publish(taken)
         else:
-            self._bus.health.count("pictures_apart")
+            self._bus.health.count("images_apart")
 
     def _complain(self, open_: bool) -> bool:
         """Warn of faults of the images that come. Returns whether the faults have changed."""

@@ -17,14 +17,14 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("bench", help="measure the time of every stage")
     parser.add_argument("what", nargs="?", choices=_WHAT, default="all", help="default: all")
     add_json(parser, to_file=True)
-    add_path(parser, "--picture", "FILE.png", "draw the time of the stages as bars")
+    add_path(parser, "--image", "FILE.png", "draw the time of the stages as bars")
     add_from_zero(parser, "--seed", "number of the built-in scene (0)")
     add_profile(parser)
     parser.set_defaults(call=call)
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Measure the stages, print a table, write JSON and a picture."""
+    """Measure the stages, print a table, write JSON and an image."""
     # As in the workers: waiting threads of the libraries spin, and would count as CPU time.
     single_threaded()
     import resource
@@ -76,14 +76,14 @@ def call(arguments: argparse.Namespace) -> int:
     text = table(("stage, ms", "wall p50", "p95", "p99", "CPU p50", "p99", "first", "MiB"), rows)
     text += f"\npeak memory {summary['peak_memory_mib']:.0f} MiB"
     print_result(arguments, {"summary": summary, "stages": [asdict(s) for s in stages]}, text)
-    if arguments.picture is not None:
-        draw_stages(arguments.picture, [(s.name, s.cpu_ms_p50, s.cpu_ms_p99) for s in stages])
+    if arguments.image is not None:
+        draw_stages(arguments.image, [(s.name, s.cpu_ms_p50, s.cpu_ms_p99) for s in stages])
     return 0
 
 
 def draw_stages(path: Path, stages: list[tuple[str, float, float]]) -> None:
     """Draw stages (name, median and 99th percentile in CPU ms) as bars: one row for each task that has
-    several stages. No picture is written if no task has."""
+    several stages. No image is written if no task has."""
     import numpy as np
 
     from huepose.drawing.plots import bar_chart

@@ -47,8 +47,7 @@ _EXTRA_OF = {
     "rosbags": "ros2",
 }
 # Options that name an output file or folder.
-_OUTPUTS = ("out", "json", "csv", "image", "picture", "explain", "plots", "save")
-_PICTURES = ("image", "picture")
+_OUTPUTS = ("out", "json", "csv", "image", "explain", "plots", "save")
 # Output options that are folders. `out` is a file or a folder, depending on the command; the rest are files.
 _FOLDERS = ("explain", "plots")
 # Output files whose folder must exist already, so that a mistyped folder is not made.
@@ -153,7 +152,7 @@ def check_outputs(parsed: argparse.Namespace) -> None:
             if option != "out" and path.exists() and path.is_dir() != (option in _FOLDERS):
                 found, wanted = ("a folder", "a file") if path.is_dir() else ("a file", "a folder")
                 raise InputError(f"--{option} {path}", found=found, expected=f"{wanted}, which may be new")
-            if option in _PICTURES:
+            if option == "image":
                 check_picture(path)
 
 

@@ -149,7 +149,7 @@ def self_test(bundles: Path, name: str, part: float | None = None) -> tuple[dict
     said = suitability.in_words(model, found)
     keep_verdict(bundles, model, found.verdict, said.splitlines()[0])
     words = f"{said}\nThe test scenes and their results: {picture}"
-    return {**facts, "trials": len(found.trials), "picture": str(picture)}, words
+    return {**facts, "trials": len(found.trials), "image": str(picture)}, words
 
 
 def onboard_one(job: Job, out: Path, unit_known: bool = False) -> Onboarded:

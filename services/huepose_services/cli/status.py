@@ -179,8 +179,8 @@ def _without(said: dict[str, str], reason: str) -> str:
 
     said: the worker of each printed warning, by its text.
 
-    >>> _without({"cam: slow": "camera"}, "No picture comes. cam: slow")
-    'No picture comes. See the camera above.'
+    >>> _without({"cam: slow": "camera"}, "No image comes. cam: slow")
+    'No image comes. See the camera above.'
     """
     for text, worker in said.items():
         if text in reason:

@@ -160,7 +160,7 @@ def _run(
             flush_at, failed = time.monotonic() + _FLUSH_EVERY_S, sinks.flushed(recording)
     bus.close()
     session.close()
-    return bus.health.counters.get("pictures", 0), failed or sinks.flushed(recording)
+    return bus.health.counters.get("images", 0), failed or sinks.flushed(recording)
 
 
 def _drawn(bus: Bus, config: Config, arguments: argparse.Namespace) -> tuple[dict[str, Body], Follower[Body]]:

@@ -174,7 +174,7 @@ class ViewerWork(Work):
         if self._pairs:
             self._show_pairs(frame, poses)
         self._images += 1
-        self._bus.health.count("pictures")
+        self._bus.health.count("images")
 
     def _forget_silent(self, at_ns: int) -> None:
         """Remove instances without a pose for a second of image time: of an object that is no longer

@@ -10,10 +10,12 @@ source file is unchanged. Here it is used only as long as all source files with 
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
+import os
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -71,10 +73,11 @@ def _ignore_failures(kept: Any) -> None:
     """Compile again if a cache cannot be read: an older version of the package wrote it, or a power cut left
     it incomplete. If it cannot be written, as on a full disk, go on without it."""
 
-    def or_emptied(use: Callable[..., Any]) -> Callable[..., Any]:
+    def or_emptied(use: Callable[..., Any], how: int) -> Callable[..., Any]:
         def used(*arguments: Any) -> Any:
             try:
-                return use(*arguments)
+                with _locked(kept.cache_path, how):
+                    return use(*arguments)
             except Exception:  # damaged data raise any kind
                 # Without the index no data are read: after a failed write they may be those of older sources.
                 with suppress(OSError):
@@ -83,8 +86,21 @@ def _ignore_failures(kept: Any) -> None:
 
         return used
 
-    kept.load_overload = or_emptied(kept.load_overload)
-    kept.save_overload = or_emptied(kept.save_overload)
+    kept.load_overload = or_emptied(kept.load_overload, fcntl.LOCK_SH)
+    kept.save_overload = or_emptied(kept.save_overload, fcntl.LOCK_EX)
+
+
+@contextmanager
+def _locked(folder: str, how: int) -> Iterator[None]:
+    """Lock a folder of cached kernels. Numba replaces the index, and then the data that it names: between the
+    two, another process would find data of older sources, or would give its own data the same name."""
+    place = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # not every file system has locks
+            fcntl.flock(place, how)
+        yield
+    finally:
+        os.close(place)
 
 
 @cache

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import errno
+import importlib
 import importlib.metadata
 import importlib.util
 import os
 import pickle
+import select
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +96,49 @@ def test_on_a_full_disk_a_kernel_works_and_code_of_older_sources_is_not_used(
         assert not compiled(path).cache_hits
     assert not compiled(path).cache_hits
     assert sum(compiled(path).cache_hits.values()) == 1
+
+
+OTHER_PROCESS = """
+import numba
+from huepose.support import jit
+numba.njit(lambda x: x)(1.0)  # from now on it loads a kernel at once
+jit.kernel_sources = lambda: "of the new sources"
+import kernels_of_a_test
+print("ready", flush=True)
+input()
+print(kernels_of_a_test.doubled(3.0), flush=True)
+"""
+
+
+def test_a_process_that_loads_a_kernel_while_another_saves_it_gets_no_code_of_older_sources(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def doubled(source: str) -> float:
+        (tmp_path / "kernels_of_a_test.py").write_text(source)
+        monkeypatch.delitem(sys.modules, "kernels_of_a_test", raising=False)
+        return float(importlib.import_module("kernels_of_a_test").doubled(3.0))
+
+    monkeypatch.syspath_prepend(tmp_path)
+    assert doubled(KERNEL.replace("2.0 * x", "x + 1.00")) == 4.0
+    monkeypatch.setattr(jit, "kernel_sources", lambda: "of the new sources")
+    (tmp_path / "kernels_of_a_test.py").write_text(KERNEL)
+    command, save_index = [sys.executable, "-c", OTHER_PROCESS], IndexDataCacheFile._save_index
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=tmp_path
+    ) as other:
+        assert other.stdin is not None
+        assert other.stdout is not None
+        assert other.stdout.readline() == "ready\n"
+
+        def let_the_other_load(kept: Any, overloads: Any) -> None:
+            save_index(kept, overloads)
+            other.stdin.write("\n")
+            other.stdin.flush()
+            select.select([other.stdout], [], [], 3.0)  # it waits until the data are there, too
+
+        monkeypatch.setattr(IndexDataCacheFile, "_save_index", let_the_other_load)
+        assert doubled(KERNEL) == 6.0
+        assert other.stdout.readline() == "6.0\n"
 
 
 def test_if_no_kernel_can_be_cached_one_line_says_what_to_do(

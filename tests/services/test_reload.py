@@ -197,7 +197,7 @@ def test_closing_the_terminal_ends_the_process_unless_it_runs_under_nohup(before
     if pid == 0:
         os.execv(sys.executable, [sys.executable, "-c", program])
     said = b""
-    while b"reads again" not in said:
+    while b"reads again\r\n" not in said:  # unbuffered, the end of the line comes by itself
         said += os.read(terminal, 1000)
     os.close(terminal)
     deadline = time.monotonic() + 10.0

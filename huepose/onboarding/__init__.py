@@ -1,7 +1,7 @@
 """From meshes to reference models, once per object and without training. Where to look:
 
-mesh files  meshes (`read_mesh`), by obj, ply, gltf; kinds (refuses others), mesh_files (limits), raw_mesh,
-            polygons (to triangles), winding; texture, patches (one texture for a mesh),
+mesh files  meshes (`read_mesh`), by obj, ply, gltf (of a gltf_asset); kinds (refuses others), mesh_files
+            (limits), raw_mesh, polygons (to triangles), winding; texture, patches (one texture for a mesh),
             seams (finds a texture that is upside down)
 a model     onboard > reference: simplify, visibility, cloud with neighbourhoods, surface, pairs,
             near_symmetries, symmetries, declared

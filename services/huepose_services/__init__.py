@@ -6,8 +6,9 @@
 - Workers that show poses or pass them on: `gateway` (with `gateway_session` and `gateway_door`), `viewer`,
   `ros2`; between two computers `uplink` and `downlink` (with `link`).
 - Modules that several of them use: `convert` (between the wire and the library), `models` and `builtin`
-  (reference models), `following` (follows the list of objects), `steering` (changes the list), `boxes`,
-  `networks` and `catalogue`, `pem` (certificates).
+  (reference models), `following` (follows the list of objects), `steering` (changes the list),
+  `objects_of_file` (changes it as pipeline.yaml says), `boxes`, `networks` and `catalogue`, `pem`
+  (certificates).
 - Why a robot must not act on a pose: `doubts`, `camera_doubts`, `delay_doubt`. `first_frame` warns that no
   frame has come.
 - What is recorded of the tracker: `intake`, `held`; `recording` writes, plays and verifies it.

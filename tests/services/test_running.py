@@ -109,6 +109,15 @@ def test_of_two_cameras_of_one_file_the_file_is_not_suggested(runtime_folder):
             pick()
 
 
+def test_a_recording_that_is_played_is_not_suggested_as_a_configuration(runtime_folder):
+    recording = msgspec.structs.replace(HERE, base_port=17447, file="/run1.mcap")
+    with noted(recording):
+        other = {"base_port": 18200, "site": "lab", "camera": "cam0", "file": "/run2.mcap"}
+        (runtime_folder / f"{os.getppid()}.json").write_text(json.dumps(other))
+        with pytest.raises(InputError, match=r"Say which: --pipeline (17447|18200)\.$"):
+            pick()
+
+
 def test_two_pipelines_of_one_name_are_distinguished_by_their_ports(runtime_folder):
     with noted(HERE):
         other = '{"base_port": 18200, "site": "lab", "camera": "cam0"}'
@@ -151,6 +160,9 @@ def test_a_port_that_is_taken_is_explained(runtime_folder):
         played = text.replace("/h.yaml", "/h.mcap").replace('"tracker"', "")
         (runtime_folder / f"{os.getppid()}.json").write_text(played)
         assert occupant(config, "tracker") == "a recording there that is played (/h.mcap)"
+        with_its_configuration = played.replace("/h.mcap", "/h.yaml")
+        (runtime_folder / f"{os.getppid()}.json").write_text(with_its_configuration)
+        assert occupant(config, "tracker") == "a recording there that is played (/h.yaml)"
 
 
 def test_a_pipeline_that_is_being_prepared_is_reported_as_starting(tmp_path, monkeypatch, capsys, refused):

@@ -157,7 +157,7 @@ def occupant(config: Config, worker: str) -> str:
         place = config.port(worker) - other.base_port
         if not 0 <= place < len(WORKERS):
             continue
-        if other.recorded:
+        if not other.workers:
             return f"a recording there that is played ({other.file})"
         if WORKERS[place] in other.workers and WORKERS[place] not in other.far:
             return f"the {WORKERS[place]} of {other.name} there, which runs already ({other.file})"
@@ -210,7 +210,7 @@ def pick(path: Path | None = None, which: str | None = None) -> Pipeline:
         which = f"{first.base_port} (or {first.name})" if alone else f"{first.base_port}"
         one_file = len({p.file for p in found}) == 1  # a file of several cameras names none of them
         file = shlex.quote(first.file) if first.file else "PIPELINE.yaml"
-        which += "" if one_file else f", or --config {file}"
+        which += "" if one_file or first.recorded else f", or --config {file}"
         raise InputError(
             "the pipeline to attach to",
             found=f"{len(found)} that run here: {_listed(found)}",

@@ -17,7 +17,7 @@ from huepose.reinit.types import ObjectSlot
 from huepose.support.errors import InputError
 from huepose_protos.messages import ObjectEntry
 from huepose_services.reinit import ReinitWork
-from huepose_services.runtime.config import Config, load
+from huepose_services.runtime.config import CHAIN, Config, load
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 from huepose_services.runtime.reload import LIVE, Reload, changed
@@ -66,6 +66,11 @@ def test_the_gateway_applies_how_old_a_pose_may_be(worker):
     assert config.tracker.max_age_ms == 200.0
     assert "was read again: tracker.max_age_ms (300.0 > 200.0)" in said
     assert warnings == []
+
+
+def test_of_long_values_the_part_that_differs_is_shown(worker):
+    said = worker("huepose")({"workers": [*CHAIN, "gateway", "viewer"]})[2][0]
+    assert said.endswith('workers (...gmenter","estimator"] > ...gmenter","estimator","gateway","viewer"])')
 
 
 def test_the_worker_reinit_gets_the_file_even_if_it_is_unchanged(worker):

@@ -72,11 +72,15 @@ def changed(before: Any, after: Any, name: str = "") -> Iterator[tuple[str, str]
             key = f"{name}.{field}" if name else field
             yield from changed(getattr(before, field), getattr(after, field), key)
     elif before != after:
-        yield name, f"{name} ({_words(before)} > {_words(after)})"
+        texts = [msgspec.json.encode(value).decode() for value in (before, after)]
+        same = next((place for place, (a, b) in enumerate(zip(*texts, strict=False)) if a != b), 0)
+        yield name, f"{name} ({' > '.join(_part(text, same) for text in texts)})"
 
 
-def _words(value: Any) -> str:
-    text = msgspec.json.encode(value).decode()
+def _part(text: str, same: int) -> str:
+    """A text, or if it is long a part of it; same: how many characters at its beginning do not matter."""
+    start = max(0, same - 20) if len(text) > 60 else 0
+    text = f"...{text[start:]}" if start else text
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 

@@ -212,9 +212,11 @@ class PoseClient(Client):
         if self.connected:
             with self._changed:
                 last = max(self._arrived.values(), default=None)
+                age_s = time.monotonic() - (last or 0.0)
+            why, stopped = self._why_none_is_seen()
             if last is None:
-                return f"connected, but {self._why_none_is_seen()}: `huepose status` says why"
-            return f"connected: the last pose came {time.monotonic() - last:.1f} s ago"
+                return f"connected, but {why}: `huepose status` says why"
+            return f"connected: the last pose came {age_s:.1f} s ago" + (f"; {why}" if stopped else "")
         authority, certificate, key = self._files
         try:
             context = ssl.create_default_context(cafile=authority)
@@ -226,17 +228,19 @@ class PoseClient(Client):
             return f"authority, certificate and key cannot be used: {getattr(error, 'reason', None) or error}"
         return why_unreached(self._endpoints, context, shown)
 
-    def _why_none_is_seen(self) -> str:
+    def _why_none_is_seen(self) -> tuple[str, bool]:
+        """In words, and whether it is certain that no pose comes: nothing that this client reads is searched
+        for."""
         names = self.looked_for()
         if names is None:
-            return "no tracker answers, or it is still starting"
+            return "no tracker answers, or it is still starting", False
         if not names:
-            return "no object is searched for"
+            return "no object is searched for", True
         if self._object is not None and self._object not in names:
-            return f"{self._object} is not searched for, only {', '.join(names)}"
+            return f"{self._object} is not searched for, only {', '.join(names)}", True
         if self._object is not None:
-            return f"{self._object} is not seen"
-        return f"none of the objects that are searched for ({', '.join(names)}) is seen"
+            return f"{self._object} is not seen", False
+        return f"none of the objects that are searched for ({', '.join(names)}) is seen", False
 
     def next(self, timeout_s: float | None = None) -> PoseMessage | None:
         """The next pose that was not returned yet; None after the timeout, or when the client is closed."""

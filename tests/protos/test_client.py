@@ -105,6 +105,18 @@ def test_a_client_of_one_object_says_why_none_of_its_poses_comes(monkeypatch, na
         assert client.why_silent() == f"connected, but {said}"
 
 
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [([], "; no object is searched for"), (["box"], ""), (None, "")],
+    ids=["removed", "seen", "no answer"],
+)
+def test_a_client_whose_object_was_removed_says_so(monkeypatch, client, names, said):
+    monkeypatch.setattr(PoseClient, "connected", True)
+    monkeypatch.setattr(client, "looked_for", lambda: names)
+    client._on_sample(pose("lab", 1, SECOND))
+    assert re.fullmatch(rf"connected: the last pose came \d\.\d s ago{said}", client.why_silent())
+
+
 @pytest.mark.parametrize("name", ["", "Tea Box", "tea#box", "tea/box"])
 def test_a_client_of_an_object_with_an_invalid_name_is_refused(name):
     with pytest.raises(ValueError, match=r"is not a name of a-z, 0-9, _ and -"):

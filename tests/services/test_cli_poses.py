@@ -287,6 +287,27 @@ def test_the_reason_why_no_pose_comes_in_the_robots_frame_is_given(pose, base_po
     printing.terminate()
 
 
+@pytest.mark.live
+def test_poses_that_stop_are_reported(pose, base_port, huepose, tmp_path):
+    path = tmp_path / "pipeline.yaml"
+    path.write_text(f"site: lab\nbus: {{base_port: {base_port}}}\nworkers: [tracker]\n")
+
+    def publish(number):
+        session.put(f"huepose/lab/cam0/pose/{pose.object}/0", encode(replace(pose, frame_id=number)))
+
+    with noted(described(load(path), path)), zenoh.open(listening(endpoint(base_port))) as session:
+        there = session.liveliness().declare_token("huepose/lab/cam0/live/tracker")
+        with repeating(publish, 0.05):
+            printing = huepose("poses", "--config", path)
+            assert pose.object in printing.stdout.readline()
+        lines = iter(printing.stderr.readline, "")
+        assert any(
+            "the pipeline runs, but no pose has come for 3 s; `huepose status`" in line for line in lines
+        )
+        del there
+    printing.terminate()
+
+
 def test_the_reason_why_no_pose_comes_names_the_missing_workers():
     """Also if poses of a single object are asked for."""
     workers = ("camera", "tracker", "detector", "gateway")

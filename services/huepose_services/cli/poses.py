@@ -253,7 +253,7 @@ def _messages_here(
     key, health = pipeline.key(arguments.key), pipeline.key("health/**")
     asks_for_health = zenoh.KeyExpr(key).intersects(zenoh.KeyExpr(health))
     beside = [*([] if asks_for_health else [health]), *map(pipeline.key, check.keys)]
-    say_at = time.monotonic() + _SAY_WAITING_AFTER_S
+    say_at, heard = time.monotonic() + _SAY_WAITING_AFTER_S, False
     with Reader(pipeline.endpoints, key, *beside) as reader:
         while not stopping() and not _is_over(reader):
             message = reader.next(0.1)
@@ -261,11 +261,13 @@ def _messages_here(
                 _warn(message, warned)
                 message = message if asks_for_health else None
             if message is not None and not check.consumes(message):
-                say_at = float("inf")
+                # Poses come with every frame, messages of other keys perhaps seldom.
+                say_at = time.monotonic() + _SAY_WAITING_AFTER_S if "/pose/" in key else float("inf")
+                said, heard = "", True
                 yield message
             elif time.monotonic() > say_at:
                 say_at = time.monotonic() + _SAY_WAITING_AFTER_S
-                before, said = said, _silence(reader, pipeline, key)
+                before, said = said, _silence(reader, pipeline, key, heard)
                 if said != before:
                     say(said)
         if _is_over(reader):
@@ -286,7 +288,8 @@ _SHOW_ONLY = ("gateway", "viewer", "ros2")
 """Workers that poses do not depend on here."""
 
 
-def _silence(reader: Reader, pipeline: Pipeline, key: str) -> str:
+def _silence(reader: Reader, pipeline: Pipeline, key: str, heard: bool = False) -> str:
+    """Why nothing comes, in words. heard: whether something came before."""
     from huepose_protos.keys import last
 
     if not reader.seen:
@@ -300,6 +303,7 @@ def _silence(reader: Reader, pipeline: Pipeline, key: str) -> str:
         if away:
             return f"the pipeline runs without {', '.join(away)}: starting, or ended; its log says which"
         what = "no object has been found yet" if key.endswith(_POSES) else what
+        what = f"no pose has come for {_SAY_WAITING_AFTER_S:.0f} s" if heard else what
     elif key.endswith("/truth"):
         what = f"nothing is published on {key}: it needs `camera.truth: true`, and a source with ground truth"
     return f"the pipeline runs, but {what}; `huepose status` shows its state"

@@ -36,7 +36,7 @@ from huepose_services.runtime.worker import TELL_WHERE
 _NOT_FOR_WORKERS = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
 _TIME_TO_TELL_S = 0.15
 _GONE_WITHIN_S = 0.5
-"""A killed process has ended by then, unless it waits for a device in the kernel."""
+"""A killed process has ended by then, unless the computer is busy or it waits for a device in the kernel."""
 _DRAIN_S = 1.5
 _STOP_WITHIN_S = 1.8
 _HEAD_START_S = 0.1
@@ -44,9 +44,7 @@ _HEAD_START_S = 0.1
 _BACKOFF_S, _BACKOFF_MAX_S = 0.25, 8.0
 _STANDSTILL_S = 0.5
 _FAILED, _BAD_INPUT = 1, 2
-_HELD = (
-    "does not end: it waits in the kernel, as for a device that does not answer. It is restarted when it ends"
-)
+_HELD = "does not end yet: the computer is busy, or a device does not answer. It is restarted when it ends"
 _MAPPED = (
     " (SIGBUS: a file that it uses was overwritten in place, such as a reference model; put a new one there "
     "by renaming it, docs/running.md)"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -79,6 +80,8 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.bop is not None:
         from huepose_services.recording.export import export_bop
 
+        # SIGTERM acts like Ctrl-C, so that no part of a scene is left.
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
         exported = export_bop(_events(recordings), arguments.bop)
         print(f"{arguments.bop}: {exported.text}")
         _say_cut(recordings)

@@ -278,6 +278,17 @@ def test_an_export_that_is_stopped_or_fails_leaves_no_files(tmp_path, error):
         assert list(folder.iterdir()) == []
 
 
+@pytest.mark.usefixtures("same_handlers")
+def test_an_export_that_is_terminated_leaves_no_files(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "huepose_services.recording.export._write_images", lambda *_: signal.raise_signal(signal.SIGTERM)
+    )
+    signal.signal(signal.SIGTERM, lambda *_: None)  # else, without a handler, this would end the tests
+    recording, folder = written(tmp_path / "out").path, tmp_path / "bop"
+    assert main(["replay", str(recording), "--bop", str(folder)]) == 130
+    assert not folder.exists()
+
+
 def test_recordings_of_several_cameras_are_played_each_as_its_own(tmp_path, monkeypatch, refused):
     """Together, as far apart in time as they were recorded; or one, as the named camera."""
     for camera, number in (("left", 4), ("right", 7)):  # a tenth of a second later

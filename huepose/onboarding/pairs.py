@@ -7,7 +7,6 @@ The tables of the paper's method are built from the coarse ones (`paper.tables`)
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,25 +16,15 @@ from huepose.colorpair.lifting import lift
 from huepose.colorpair.similarity import paired_similarity
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry import icosphere, se3
-from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
+from huepose.geometry.arrays import Float32, Int32
 from huepose.geometry.camera import Camera
+from huepose.geometry.mesh import Mesh
 from huepose.model.types import PairReference
-from huepose.support.errors import InputError
+from huepose.rendering.render import render
 from huepose.support.jit import jit
 
 DISTANCE = 4.0
 """Distance of the camera in the views, in object diameters."""
-
-
-@dataclass(frozen=True, eq=False)
-class PairView:
-    """One rendered view: color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 = nothing; T_cam_obj (4,
-    4)."""
-
-    color: UInt8
-    depth: Float32
-    camera: Camera
-    T_cam_obj: Float64
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,39 +69,11 @@ PAIRS_OF_A_VIEW = 4000
 """Most pairs that are extracted from a view."""
 
 
-def reference_cameras(diameter_m: float) -> list[tuple[Camera, Float64]]:
-    """Cameras and poses `T_cam_obj` of the coarse and fine views of an object that is centred on its origin.
-
-    For another object, compose them with the translation that centres it.
-    """
-    t = np.array([0.0, 0.0, DISTANCE * diameter_m])
-    views = []
-    for scale in (COARSE, FINE):
-        pixels = scale.pixels(diameter_m)
-        side = int(np.ceil(pixels * 1.1)) + 8
-        focal = pixels * DISTANCE
-        camera = Camera(focal, focal, (side - 1) / 2, (side - 1) / 2, side, side)
-        views += [(camera, se3.make(icosphere.look_at(d), t)) for d in icosphere.directions(LEVEL)]
-    return views
-
-
-def coarse_and_fine(views: Sequence[PairView], diameter_m: float) -> tuple[MergedPairs, MergedPairs]:
-    """The colour pairs of a model at both scales, from the views of `reference_cameras`, in any order.
-
-    The focal length of a view decides whether it is coarse or fine. An object without texture has few pairs
-    or none. Raises InputError without views.
-    """
-    if not views:
-        raise InputError("colour pairs of a model", found="no views", expected="at least one rendered view")
-    limits = [scale.pixels(diameter_m) * DISTANCE for scale in (COARSE, FINE)]
-    is_fine = [abs(v.camera.fx - limits[1]) < abs(v.camera.fx - limits[0]) for v in views]
+def coarse_and_fine(mesh: Mesh, diameter_m: float) -> tuple[MergedPairs, MergedPairs]:
+    """The colour pairs of a mesh at both scales. An object without texture has few or none."""
     coarse, fine = (
-        merged(
-            *_all_pairs([v for v, f in zip(views, is_fine, strict=True) if f == wanted]),
-            MERGE * diameter_m,
-            MAX_PAIRS,
-        )
-        for wanted in (False, True)
+        merged(*_all_pairs(mesh, scale, diameter_m), MERGE * diameter_m, MAX_PAIRS)
+        for scale in (COARSE, FINE)
     )
     return coarse, fine
 
@@ -134,16 +95,25 @@ def pair_reference(coarse: MergedPairs, fine: MergedPairs, diameter_m: float) ->
     )
 
 
-def _all_pairs(views: Sequence[PairView]) -> tuple[SurfacePairs, Int32]:
-    """Pairs of all views in the object's frame, and the view that each came from."""
-    if not views:
-        return SurfacePairs.empty(), np.zeros(0, np.int32)
+def reference_camera(scale: Scale, diameter_m: float) -> Camera:
+    """The camera of all views of a scale: it sees the whole object from DISTANCE diameters."""
+    pixels = scale.pixels(diameter_m)
+    side = int(np.ceil(pixels * 1.1)) + 8
+    return Camera(pixels * DISTANCE, pixels * DISTANCE, (side - 1) / 2, (side - 1) / 2, side, side)
+
+
+def _all_pairs(mesh: Mesh, scale: Scale, diameter_m: float) -> tuple[SurfacePairs, Int32]:
+    """Pairs of all views of a scale in the object's frame, and the view that each came from."""
+    camera, t = reference_camera(scale, diameter_m), np.array([0.0, 0.0, DISTANCE * diameter_m])
+    centring = se3.make(np.eye(3), -mesh.centre)
     parts, owners = [], []
-    for index, view in enumerate(views):
+    for index, direction in enumerate(icosphere.directions(LEVEL)):
+        T_cam_obj = se3.make(icosphere.look_at(direction), t) @ centring
+        view = render([(mesh, T_cam_obj)], camera)
         seen = view.depth > 0
         pairs = extract(view.color, seen, max_pairs=PAIRS_OF_A_VIEW)
-        lifted = lift(pairs, view.depth, seen, view.camera, radius_px=2, gate_m=0.02, min_facing=MIN_FACING)
-        parts.append(lifted.transformed(se3.inverse(view.T_cam_obj)))
+        lifted = lift(pairs, view.depth, seen, camera, radius_px=2, gate_m=0.02, min_facing=MIN_FACING)
+        parts.append(lifted.transformed(se3.inverse(T_cam_obj)))
         owners.append(np.full(len(lifted), index, np.int32))
     return SurfacePairs.joined(parts), np.concatenate(owners)
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.diameter import largest_distance
 from huepose.geometry.mesh import Mesh
@@ -16,13 +15,12 @@ from huepose.model.io import check_name
 from huepose.model.types import PaperTables, ReferenceModel
 from huepose.onboarding.cloud import visible_cloud
 from huepose.onboarding.near_symmetries import near_symmetries
-from huepose.onboarding.pairs import MergedPairs, PairView, coarse_and_fine, pair_reference, reference_cameras
+from huepose.onboarding.pairs import MergedPairs, coarse_and_fine, pair_reference
 from huepose.onboarding.surface import build_grid, build_surface
 from huepose.onboarding.symmetries import equivalent_rotations, rotations_about_own
 from huepose.onboarding.visibility import depth_views
 from huepose.propose.keypoint_reference import build_keypoints
 from huepose.propose.templates import build_templates
-from huepose.rendering.render import render
 from huepose.support.errors import InputError
 
 STAGES = ("mesh", "visibility", "surface", "symmetries", "templates", "keypoints", "colour pairs")
@@ -83,7 +81,7 @@ def reference_model(
     report("keypoints")
     keypoints = build_keypoints(lean, diameter)
     report("colour pairs")
-    coarse, fine = coarse_and_fine(_pair_views(lean, diameter), diameter)
+    coarse, fine = coarse_and_fine(lean, diameter)
     return ReferenceModel(
         name=name,
         object_id=object_id,
@@ -131,16 +129,6 @@ def diameter_of(mesh: Mesh) -> float:
         raise InputError(
             "the mesh", found="all vertices in one plane", expected="a solid object", fix="Give it thickness."
         ) from None
-
-
-def _pair_views(mesh: Mesh, diameter_m: float) -> list[PairView]:
-    centring = se3.make(np.eye(3), -mesh.centre)
-    views = []
-    for camera, T_cam_centred in reference_cameras(diameter_m):
-        T_cam_obj = T_cam_centred @ centring
-        r = render([(mesh, T_cam_obj)], camera)
-        views.append(PairView(r.color, r.depth, camera, T_cam_obj))
-    return views
 
 
 def _tables(coarse: MergedPairs, diameter_m: float) -> PaperTables:

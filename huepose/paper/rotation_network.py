@@ -55,23 +55,6 @@ def motion_given(R_b_a: Float, matches: LiftedMatches) -> Float64 | None:
     return T if (miss < INLIER_M).sum() >= MIN_INLIERS else None
 
 
-def rotation_first(regress: Regressor, matches: LiftedMatches) -> Float64 | None:
-    """A RelativePose by a regressor of the whole rotation."""
-    if len(matches) < MIN_INLIERS:
-        return None
-    clouds = canonical(matches.points_a, matches.points_b, matches.weights)
-    return motion_given(clouds.rotation(regress(clouds.features, matches.weights)), matches)
-
-
-def residual_rotation(regress: Regressor, matches: LiftedMatches) -> Float64 | None:
-    """A RelativePose: closed form, then the residual rotation by a regressor, then the translation."""
-    given = canonical_input(matches, "residual")
-    if given is None:
-        return None
-    residual = given.clouds.rotation(regress(given.clouds.features, matches.weights))
-    return motion_given(residual @ given.R_first, matches)
-
-
 Kind = Literal["residual", "direct"]
 POINTS = 128
 """Matches that the network takes as input."""
@@ -84,7 +67,16 @@ def learned(kind: Kind, file: Path | None = None) -> RelativePose:
     """A RelativePose with a network of a kind: from a file, else the one in the package. Raises InputError
     for a file that is missing or not such a network."""
     regress = OnnxRotation(WEIGHTS / f"{kind}.onnx" if file is None else file)
-    return partial(residual_rotation if kind == "residual" else rotation_first, regress)
+    return partial(regressed, kind, regress)
+
+
+def regressed(kind: Kind, regress: Regressor, matches: LiftedMatches) -> Float64 | None:
+    """A RelativePose: the rotation by a regressor of a kind, then the translation."""
+    given = canonical_input(matches, kind) if len(matches) >= MIN_INLIERS else None
+    if given is None:
+        return None
+    rotation = given.clouds.rotation(regress(given.clouds.features, matches.weights))
+    return motion_given(rotation @ given.R_first, matches)
 
 
 @dataclass(frozen=True, eq=False)

@@ -157,7 +157,7 @@ class Canvas:
             return self.picture
         inner = self._frame()
         ink = inner.min(-1) < PALE[0] - 5
-        wide = max(cv2.getTextSize(name, FONT, 0.48, 1)[0][0] for name in names) + 42
+        wide = max(text_px(name, 0.48) for name in names) + 42
         layouts = [-(-len(names) // columns) for columns in range(1, max(2, len(names)))]
 
         sums = cv2.integral(ink.astype(np.uint8))
@@ -234,19 +234,27 @@ def _text(
 LINE_PX, MARGIN_PX = 18, 8
 
 
+def text_px(text: str, scale: float) -> int:
+    """Width of a text."""
+    return int(cv2.getTextSize(text, FONT, scale, 1)[0][0])
+
+
+def wrapped(text: str, width: int, scale: float) -> list[str]:
+    """Text broken into lines of at most `width` pixels. A word that is wider gets its own line."""
+    lines = [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}".strip()
+        if lines[-1] and text_px(longer, scale) > width:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
+
+
 def paragraph(text: str, width: int, scale: float = 0.45) -> UInt8:
     """Text broken into lines, a picture (H, width, 3) uint8 RGB. A word that is wider gets its own line and
     is cut off."""
-    lines: list[str] = []
-    for words in (part.split() for part in text.split("\n")):
-        line = ""
-        for word in words:
-            longer = f"{line} {word}".strip()
-            fits = cv2.getTextSize(longer, FONT, scale, 1)[0][0] <= width - 2 * MARGIN_PX
-            if line and not fits:
-                lines.append(line)
-            line = longer if fits or not line else word
-        lines.append(line)
+    lines = [line for part in text.split("\n") for line in wrapped(part, width - 2 * MARGIN_PX, scale)]
     page: UInt8 = np.full((LINE_PX * len(lines) + MARGIN_PX, width, 3), PAPER, np.uint8)
     for k, line in enumerate(lines):
         cv2.putText(page, line, (MARGIN_PX, LINE_PX * (k + 1)), FONT, scale, INK, 1, cv2.LINE_AA)

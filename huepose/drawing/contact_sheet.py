@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from huepose.drawing.canvas import FONT, PAPER
+from huepose.drawing.canvas import FONT, PAPER, text_px, wrapped
 from huepose.geometry.arrays import UInt8
 
 GAP_PX, LABEL_PX, LINE_PX = 6, 22, 16
@@ -60,19 +60,9 @@ def fitted(image: UInt8, width: int, height: int) -> UInt8:
     return page
 
 
-def _long(text: str, scale: float) -> int:
-    return int(cv2.getTextSize(text, FONT, scale, 1)[0][0])
-
-
 def _lines(label: str, width: int) -> tuple[list[str], float]:
     """A label broken into as few lines as keep its letters readable, and the scale of its letters."""
-    if _long(label, _SCALE) <= width:
+    if text_px(label, _SCALE) <= width:
         return [label], _SCALE
-    lines = [""]
-    for word in label.split():
-        longer = f"{lines[-1]} {word}".strip()
-        if lines[-1] and _long(longer, _SMALLEST) > width:
-            lines.append(word)
-        else:
-            lines[-1] = longer
-    return lines, _SMALLEST * min(1.0, width / max(_long(line, _SMALLEST) for line in lines))
+    lines = wrapped(label, width, _SMALLEST)
+    return lines, _SMALLEST * min(1.0, width / max(text_px(line, _SMALLEST) for line in lines))

@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from huepose.evaluation.summary import table
+
 Cell = float | int | str | None
 
 
@@ -64,25 +66,16 @@ class Table:
 
     def text(self) -> str:
         """For a terminal; methods are above their columns."""
-        cells = [[name, *(self.cell(v) for v in values)] for name, values in self.rows]
+        cells = [[name, *map(self.cell, values)] for name, values in self.rows]
         heads = ["", *(head.figure for head in self.heads)]
         widths = [max(len(row[i]) for row in [heads, *cells]) for i in range(len(heads))]
-        column = 1
-        for method, count in self.groups:
-            wide = sum(widths[column : column + count]) + 2 * (count - 1)
-            widths[column] += max(0, len(method) - wide)
-            column += count
         over, column = [" " * widths[0]], 1
         for method, count in self.groups:
-            over.append(method.rjust(sum(widths[column : column + count]) + 2 * (count - 1)))
+            wide = sum(widths[column : column + count]) + 2 * (count - 1)
+            heads[column] = heads[column].rjust(widths[column] + max(0, len(method) - wide))
+            over.append(method.rjust(wide))
             column += count
-        lines = ["  ".join(over).rstrip()]
-        for row in [heads, *cells]:
-            aligned = [
-                row[0].ljust(widths[0]),
-                *(v.rjust(w) for v, w in zip(row[1:], widths[1:], strict=True)),
-            ]
-            lines.append("  ".join(aligned).rstrip())
+        lines = ["  ".join(over).rstrip(), table(heads, cells)]
         return "\n".join([self.title, "", *lines, "", *(f"- {note}" for note in self.notes)])
 
     def markdown(self) -> str:

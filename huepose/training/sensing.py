@@ -40,6 +40,11 @@ def recolored(rgb: Tensor, strength: float) -> Tensor:
     return linear.clamp(1e-4, 1.0) ** (chance(0.18) / 2.2)
 
 
+def scanned(rgb: Tensor) -> Tensor:
+    """Views as scanned models show them: in slightly other colours, some with sheen or another print."""
+    return reprinted(shone_on(recolored(rgb, 0.4), SHINY), REPRINTED)
+
+
 def sensed(rgb: Tensor, relief: Tensor) -> tuple[Tensor, Tensor]:
     """Windows as other sensors would measure them: other colours, sheen, a veil, sharpened or soft, noisy;
     depth with holes, wider than the object, or shifted."""

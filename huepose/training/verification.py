@@ -18,7 +18,7 @@ from huepose.propose.view_codes import CELLS
 from huepose.propose.view_images import CHANNELS, SIDE
 from huepose.training.network import VerificationNetwork
 from huepose.training.object_buffer import ObjectBuffer
-from huepose.training.sensing import REPRINTED, SHINY, network_input, recolored, reprinted, sensed, shone_on
+from huepose.training.sensing import network_input, scanned, sensed
 
 OFF, STRETCHED, DEEPER = 0.02, 0.02, 0.015
 """Standard deviations of a refined pose: offset in the image (diameters), logarithm of the size, and offset
@@ -88,7 +88,7 @@ def pairs(buffer: ObjectBuffer, shown: Shown, similar: Tensor) -> tuple[Tensor, 
     exact = (there > 0) & (torch.rand(len(row), device=device) < EXACT)
     seen_relief = seen_relief - torch.where(exact, 0.0, onto)[:, None, None]
     windows = network_input(*sensed(seen_rgb, seen_relief), clean=False)
-    rgb = reprinted(shone_on(recolored(rgb, 0.4), SHINY), REPRINTED)
+    rgb = scanned(rgb)
     visible = buffer.shown_in(*place) * torch.isfinite(relief)
     cells = functional.avg_pool2d(visible[:, None], SIDE // CELLS)[:, 0] * there[:, None, None]
     return torch.cat([windows, network_input(rgb, relief, clean=True)], 1), there, cells

@@ -46,7 +46,7 @@ from huepose.training.runs import (
     endless_loader,
     export_onnx,
 )
-from huepose.training.sensing import REPRINTED, SHINY, network_input, recolored, reprinted, sensed, shone_on
+from huepose.training.sensing import network_input, scanned, sensed
 from huepose.training.verification import Shown, pairs, verification_loss
 from huepose.training.windows import WINDOWS, endless
 
@@ -219,7 +219,7 @@ def batch(buffer: ObjectBuffer, config: ViewCodeTraining) -> Batch:
     others = torch.randint(apart.shape[2], (count, config.views - 2 * each), device=device)
     chosen = torch.cat([nearest.flatten(1), others], 1)
     rgb, relief = buffer.views_of(objects.repeat_interleave(config.views), chosen.flatten())
-    rgb = reprinted(shone_on(recolored(rgb, 0.4), SHINY), REPRINTED)
+    rgb = scanned(rgb)
 
     q, beside = count * each, count * config.beside
     shift = (SHIFT * torch.randn(q, 2, device=device)).clamp(-LARGEST_SHIFT, LARGEST_SHIFT)

@@ -165,10 +165,10 @@ def extents_mm(mesh: Mesh) -> dict[str, float]:
     }
 
 
-def write_ply(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
-    """Write PATH in the form of BOP's models, with a PNG of the same stem; lengths times `scale`. In this
-    form texture coordinates belong to vertices, so every corner of a face is a vertex. Raises InputError."""
-    corners = scale * mesh.vertices[mesh.faces].reshape(-1, 3).astype(np.float64)
+def write_ply(path: Path, mesh: Mesh) -> None:
+    """Write PATH in the form of BOP's models, in millimetres, with a PNG of the same stem. In this form
+    texture coordinates belong to vertices, so every corner of a face is a vertex. Raises InputError."""
+    corners = 1000.0 * mesh.vertices[mesh.faces].reshape(-1, 3).astype(np.float64)
     uv = mesh.uv.reshape(-1, 2).astype(np.float64) * [1.0, -1.0] + [0.0, 1.0]
     faces = np.arange(len(corners)).reshape(-1, 3)
     names = ("x", "y", "z", "texture_u", "texture_v")
@@ -176,10 +176,10 @@ def write_ply(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
     write_bytes(path.with_suffix(".png"), _encoded(".png", mesh.texture[..., ::-1]))
 
 
-def write_bare_ply(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
-    """Write PATH in the form of BOP's `models_eval/`: vertices and faces, no colours; lengths times `scale`.
-    Raises InputError."""
-    _write_ascii(path, (), ("x", "y", "z"), scale * mesh.vertices.astype(np.float64), mesh.faces)
+def write_bare_ply(path: Path, mesh: Mesh) -> None:
+    """Write PATH in the form of BOP's `models_eval/`, in millimetres: vertices and faces, no colours. Raises
+    InputError."""
+    _write_ascii(path, (), ("x", "y", "z"), 1000.0 * mesh.vertices.astype(np.float64), mesh.faces)
 
 
 def _write_ascii(

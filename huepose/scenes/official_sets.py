@@ -82,8 +82,8 @@ def _write_models(out: Path, objects: Sequence[SetObject]) -> None:
     infos, offsets = {}, {}
     for obj in objects:
         name = f"obj_{obj.object_id:06d}.ply"
-        write_ply(out / "models" / name, obj.mesh, scale=1000.0)
-        write_bare_ply(out / "models_eval" / name, obj.mesh, scale=1000.0)
+        write_ply(out / "models" / name, obj.mesh)
+        write_bare_ply(out / "models_eval" / name, obj.mesh)
         points = 1000.0 * obj.mesh.vertices.astype(np.float64)
         infos[str(obj.object_id)] = {
             "diameter": float(pdist(points[ConvexHull(points).vertices]).max()),

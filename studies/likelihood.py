@@ -44,7 +44,7 @@ def choice(
     which: Int64,
     weights: Float64,
     names: Sequence[str],
-    times: Float64 | None = None,
+    times: Float64,
 ) -> tuple[Logistic, Float64, float]:
     """Three fits: the probability that one of the answers is right, the sharpness with which the answers
     share it, and the handicap of those behind the first.
@@ -58,13 +58,12 @@ def choice(
     there = np.isfinite(gaps)
     known = np.where(there, gaps, 0.0)
     less = behind(known)
-    known_part = np.ones(len(which)) if times is None else times
     none, row, column = which < 0, np.arange(len(which)), np.maximum(which, 0)
 
     def loss(p: Float64) -> tuple[float, Float64]:
         factors, handicap = p[1 : 1 + count], p[-1]
         one = probabilities(p[0] + z @ factors)
-        listed = known_part * one
+        listed = times * one
         steep = sharpeners @ p[1 + count : 1 + count + sharp]
         weight = np.where(there, np.exp(-steep[:, None] * known - handicap * less), 0.0)
         share = weight / weight.sum(1, keepdims=True)

@@ -113,14 +113,12 @@ def fit(
     return Fitted(whole, *quality, *present)
 
 
-def level_of(
-    quality: Float64, right: Bool, weights: Float64 | None = None, share: float = LEVEL_SHARE
-) -> float:
+def level_of(quality: Float64, right: Bool, weights: Float64, share: float = LEVEL_SHARE) -> float:
     """The lowest quality such that the share `share` of the poses with this quality or more is right; quality
     (N,), right, weights (N,). One wrong pose more than measured is counted, against chance. If there is no
     such quality, or it has fewer than 50 poses: the lowest quality of the 50 best poses."""
     order = np.argsort(-quality, kind="stable")
-    each = np.ones(len(order)) if weights is None else weights[order]
+    each = weights[order]
     true = np.cumsum(each * right[order]) / (np.cumsum(each) + 1.0)
     good = np.flatnonzero(true >= share)
     good = good[good >= min(FEWEST, len(order)) - 1]
@@ -155,10 +153,11 @@ def _fit_once(names: Names, labels: Judged, others: Judged, alike: Judged, sizes
     sharpeners = np.stack([np.ones(len(both.which)), *(table[n] for n in names.sharpness)], axis=1)
     known = [features(t) for t in both.terms]
     itself = np.array([this_texture(k) * this_size(k) for k in known])
+    columns, gaps = _columns(table, names.listed), _gaps(both.terms)
+    sharpeners = np.maximum(sharpeners, 0.0)
     listed, sharpness, handicap = choice(
-        _columns(table, names.listed), _gaps(both.terms), np.maximum(sharpeners, 0.0), both.which,
-        both.weights, names.listed, itself,
-    )  # fmt: skip
+        columns, gaps, sharpeners, both.which, both.weights, names.listed, itself
+    )
     return QualityFit(
         presence=presence,
         this_texture=this_texture,

@@ -87,11 +87,13 @@ def test_absent_objects_are_not_present_and_look_alikes_have_low_quality() -> No
 def test_the_level_is_where_the_share_of_right_poses_falls_below_the_target() -> None:
     quality_of = np.linspace(1.0, 0.0, 1001)
     right = quality_of > 0.6  # 400 right poses, then only wrong ones
-    assert quality_fit.level_of(quality_of, right, share=0.8) == pytest.approx(0.5, abs=0.003)
+    each = np.ones(1001)
+    assert quality_fit.level_of(quality_of, right, each, share=0.8) == pytest.approx(0.5, abs=0.003)
     right[:] = True
-    assert quality_fit.level_of(quality_of, right) == pytest.approx(0.01)
+    assert quality_fit.level_of(quality_of, right, each) == pytest.approx(0.01)
     right[:] = False
-    assert quality_fit.level_of(quality_of, right) == pytest.approx(0.951)  # the quality of the 50th pose
+    # the quality of the 50th pose
+    assert quality_fit.level_of(quality_of, right, each) == pytest.approx(0.951)
 
 
 def test_a_frame_is_never_scored_by_a_fit_that_includes_it() -> None:
@@ -115,7 +117,7 @@ def test_every_shipped_fit_increases_with_every_feature() -> None:
         PLAIN, total=1.7, gaps=(0.2, 0.3), color=0.5, box_iou=0.9, depth_fit=0.8, coverage=0.8,
         violation=0.05, occluded=0.05, seen=0.8, missing=0.1, foreign=5.0, detail=0.6, pixels=4000.0,
         turned=0.05, otherwise=0.1, agreed=1.1,
-    )  # fmt: skip
+    )  # fmt: skip  # else one a line
     for name, fit in quality_fits().items():
         for part in ("presence", "this_texture", "this_size", "listed"):
             factors = getattr(fit, part).factors

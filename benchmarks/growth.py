@@ -136,11 +136,7 @@ def pose_of(k: int, i: int, count: int) -> Float64:
 def picture(models: Models, count: int, i: int, camera: Camera = CAMERA) -> RgbdFrame:
     """Frame i with the first `count` models before a wall."""
     shown = list(models.values())[:count]
-    scene = []
-    for k, model in enumerate(shown):
-        T = pose_of(k, i, count)
-        scene.append((model.mesh, T @ se3.make(np.eye(3), -model.mesh.centre)))
-    rendered = render(scene, camera)
+    rendered = render([(m.mesh, truth(m, k, i, count)) for k, m in enumerate(shown)], camera)
     behind = rendered.depth == 0
     rng = np.random.default_rng(7)
     wall = cv2.resize(rng.integers(110, 150, (60, 80, 3)).astype(np.uint8), (camera.width, camera.height))

@@ -35,9 +35,9 @@ def test_on_a_full_disk_the_file_is_named_and_stays_as_it_was(write, before, tmp
 
 def test_an_error_in_an_open_file_names_the_file_too(tmp_path: Path) -> None:
     path = tmp_path / "model"
-    with full_disk(), pytest.raises(OSError, match="File too large") as error:
-        with whole(path) as part, zipfile.ZipFile(part, "w") as archive:
-            archive.writestr("a", b"x" * 100)
+    too_large = pytest.raises(OSError, match="File too large")
+    with full_disk(), too_large as error, whole(path) as part, zipfile.ZipFile(part, "w") as archive:
+        archive.writestr("a", b"x" * 100)
     assert error.value.filename == str(path)
     assert not list(tmp_path.iterdir())
 

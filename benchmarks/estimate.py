@@ -62,7 +62,7 @@ def main() -> None:
         ]
         if not wanted:
             continue
-        estimator = _methods(models, arguments)[name]()
+        estimator = _methods(models)[name]()
         estimator.warm_up()
         for masks, scene, image in progress(wanted, name):
             options = EstimateOptions(arguments.boxes, masks, arguments.min_visib, (arguments.seed,))
@@ -134,9 +134,7 @@ def _by_object(methods: Mapping[str, Any]) -> str:
     return table(["recall ADD by object", *map(str, numbers)], rows)
 
 
-def _methods(
-    models: Mapping[str, ReferenceModel], arguments: argparse.Namespace
-) -> dict[str, Callable[[], Ours | RivalEstimator]]:
+def _methods(models: Mapping[str, ReferenceModel]) -> dict[str, Callable[[], Ours | RivalEstimator]]:
     """Functions that make the estimator of each method."""
 
     def rival(make: Callable[[], Rival]) -> Callable[[], RivalEstimator]:
@@ -150,7 +148,7 @@ def _methods(
         "fgr": rival(lambda: Features(fast=True)),
         "icp-60": rival(ManyStarts),
         "icp-60-color": rival(lambda: ManyStarts(by_color=True)),
-        "ppf": rival(lambda: PointPairFeatures(arguments.rivals / "bin" / "python")),
+        "ppf": rival(lambda: PointPairFeatures(Path("build/rivals/bin/python"))),
     }
 
 
@@ -161,8 +159,8 @@ def _arguments() -> argparse.Namespace:
     names = ("full", "full-together", "colorpair", "fpfh-ransac", "fgr", "icp-60", "icp-60-color", "ppf")
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
     parser.add_argument("--bundles", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--json", type=Path, required=True, metavar="FILE",
-                        help="a journal of results; those in it are not computed again")  # fmt: skip
+    journal = "a journal of results; those in it are not computed again"
+    parser.add_argument("--json", type=Path, required=True, metavar="FILE", help=journal)
     parser.add_argument("--methods", nargs="+", choices=names, default=list(names))
     parser.add_argument("--masks", nargs="+", choices=("auto", "gt"), default=["auto", "gt"])
     parser.add_argument("--boxes", choices=("perturbed", "paper", "gt"), default="perturbed")
@@ -171,8 +169,6 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--min-visib", type=float, default=0.3, metavar="F")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="only every N-th image (1)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the disturbed boxes")
-    parser.add_argument("--rivals", type=Path, default=Path("build/rivals"), metavar="DIR",
-                        help="environment made by make_env.sh")  # fmt: skip
     return parser.parse_args()
 
 

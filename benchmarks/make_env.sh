@@ -1,9 +1,8 @@
 #!/bin/sh
 # Makes a separate environment for the baseline that cannot share HuePose's: opencv-contrib brings another OpenCV.
-# Usage: benchmarks/make_env.sh [FOLDER]      (build/rivals)
 set -eu
 cd "$(dirname "$0")/.."
-folder=${1:-build/rivals}
+folder=build/rivals
 uv=$(command -v uv || find .tools -name uv -type f 2>/dev/null | head -n 1)
 if [ -z "$uv" ]; then
     echo "make_env.sh: no uv found; run 'make setup' first." >&2

@@ -29,6 +29,8 @@ from huepose.model import ReferenceModel, load_models
 from huepose.support.progress import progress
 
 NOTHING = "nothing"
+PER_FRAME = 3
+"""Absent objects that are asked for in each frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +46,8 @@ class Question:
     shown: str
 
 
-def questions(scenes: Sequence[Scene], targets: Targets, per_frame: int, seed: int = 0) -> Iterator[Question]:
-    """`per_frame` questions for each frame, about objects without a label in it; the last has a random
+def questions(scenes: Sequence[Scene], targets: Targets, seed: int = 0) -> Iterator[Question]:
+    """`PER_FRAME` questions for each frame, about objects without a label in it; the last has a random
     box."""
     rng = np.random.default_rng([seed, 41])
     for scene in scenes:
@@ -54,10 +56,10 @@ def questions(scenes: Sequence[Scene], targets: Targets, per_frame: int, seed: i
             here = {model.name for t in truths if (model := targets.model_of(t)) is not None}
             away = [model for model in targets.models if model.name not in here]
             places = _places(scene, image, truths, targets) if away else []
-            for number in range(per_frame if places else 0):
+            for number in range(PER_FRAME if places else 0):
                 model = away[rng.integers(len(away))]
                 box, shown = places[rng.integers(len(places))]
-                if number == per_frame - 1:
+                if number == PER_FRAME - 1:
                     camera = scene.frame(image).camera
                     x = rng.uniform(0.0, max(1.0, camera.width - box.w))
                     y = rng.uniform(0.0, max(1.0, camera.height - box.h))
@@ -75,7 +77,7 @@ def answers_where_absent(estimator: Estimator, asked: Sequence[Question]) -> lis
             "object": object_number(q.model), "found": answer.found, "right": False,
             "quality": answer.quality, "state": answer.state, "terms": terms, "scene": q.scene.name,
             "image": q.image, "instance": q.number, "shown": q.shown, "box": list(q.box),
-        })  # fmt: skip
+        })  # fmt: skip  # else one a line
     return rows
 
 
@@ -112,11 +114,10 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--json", type=Path, required=True, metavar="FILE")
     parser.add_argument("--objects", nargs="+", default=None, metavar="ID")
     parser.add_argument("--method", choices=("full", "colorpair"), default="full")
-    parser.add_argument("--per-frame", type=int, default=3, metavar="N", help="questions for each frame (3)")
     arguments = parser.parse_args(words)
     models = load_models(arguments.bundles)
     targets = Targets(models, arguments.objects)
-    asked = list(questions([BopScene(path) for path in arguments.bop], targets, arguments.per_frame))
+    asked = list(questions([BopScene(path) for path in arguments.bop], targets))
     estimator = Estimator(models, EstimatorConfig(method=arguments.method))
     estimator.warm_up([model.name for model in targets.models])
     rows = answers_where_absent(estimator, asked)

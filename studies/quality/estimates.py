@@ -19,9 +19,6 @@ from studies.absent import answers_where_absent, questions
 MIN_VISIB = 0.1
 """Least visible share of an object that is estimated."""
 
-ABSENT_PER_FRAME = 3
-"""Number of absent objects that are asked for in each frame."""
-
 
 @dataclass(frozen=True)
 class Part:
@@ -49,7 +46,7 @@ def estimate(part: Part, work: Path) -> None:
     estimator = Estimator(models, EstimatorConfig(method=part.method, found_level=0.0))
     path = work / f"{part.name}.json"
     if part.kind == "others":
-        asked = list(questions([scene], targets, ABSENT_PER_FRAME))
+        asked = list(questions([scene], targets))
         write_json(path, {"rows": answers_where_absent(estimator, asked)})
     else:
         options = EstimateOptions(min_visib=MIN_VISIB)

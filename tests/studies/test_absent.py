@@ -20,7 +20,7 @@ def scene() -> MemoryScene:
 
 def test_only_absent_objects_are_requested(scene) -> None:
     models = {"box": reference_model("box", 5), "brick": reference_model("brick", 7)}
-    asked = list(questions([scene], Targets(models), 3))
+    asked = list(questions([scene], Targets(models)))
     assert len(asked) == 3 * 20
     assert {q.model.name for q in asked} == {"brick"}
     assert [q.shown for q in asked[:3]] == ["box", "box", NOTHING]
@@ -28,7 +28,7 @@ def test_only_absent_objects_are_requested(scene) -> None:
         assert q.box.area > 0
         assert q.box.x >= 0
         assert q.box.x1 <= CAMERA.width
-    again = [(q.model.name, q.box) for q in questions([scene], Targets(models), 3)]
+    again = [(q.model.name, q.box) for q in questions([scene], Targets(models))]
     assert again == [(q.model.name, q.box) for q in asked]
-    other = [q.box for q in questions([scene], Targets(models), 3, seed=1)]
+    other = [q.box for q in questions([scene], Targets(models), seed=1)]
     assert other != [q.box for q in asked]

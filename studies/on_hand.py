@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from hashlib import sha256
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from huepose.datasets.types import VISIBLE
 from huepose.evaluation import metrics
 from huepose.evaluation.result_files import write_json
 from huepose.geometry import RgbdFrame, se3
-from huepose.geometry.arrays import Float32, Float64, Rng, UInt8
+from huepose.geometry.arrays import Float64, Rng
 from huepose.model import ReferenceModel, load_models
 from huepose.profiles import profile
 from huepose.reinit.loop import ReinitLoop
@@ -46,7 +47,7 @@ from studies.live import NOWHERE, Sight
 from studies.stress.films import Seen
 from studies.stress.play import error_of, followed
 
-VERSION = 1  # increase it if any pixel changes
+VERSION = 2  # increase it if a pixel or the truth changes
 FRAMES, HZ = 60, 30
 LATE_S = 0.015
 """Age of a late camera pose."""
@@ -88,7 +89,7 @@ class Found:
     wrong: int
 
 
-Film = tuple[tuple[str, ...], Stage, Loop, list[dict[str, list[float]]]]
+Film = tuple[tuple[str, ...], Stage, Loop, list[dict[str, Any]]]
 """The names of the objects, the stage, the images and the truth."""
 
 
@@ -104,14 +105,10 @@ def rendered(models: Mapping[str, ReferenceModel], seed: int, number: int) -> Fi
         heap.camera,
     )
 
-    def kept(shot: Shot) -> tuple[UInt8, Float32, dict[str, list[float]]]:
-        labels = shot.labels
-        return shot.color, shot.depth, {"T": labels.T_cam_obj.tolist(), "seen": labels.visib_fract.tolist()}
-
     shots = (shoot(stage, i, seed * 1000 + number, COLOR, STEREO) for i in range(FRAMES))
     meshes = sha256(b"".join(models[name].mesh.content() for name in sorted(models))).hexdigest()[:8]
     path = cache_folder() / "on_hand" / f"{seed}-{number:03d}-{meshes}-{VERSION}.loop"
-    loop, truth = kept_loop(path, lambda: map(kept, shots))
+    loop, truth = kept_loop(path, lambda: map(Shot.kept, shots))
     return names, stage, loop, truth
 
 
@@ -147,18 +144,24 @@ def _config(told: str) -> TrackerConfig:
     return replace(profile("live").tracker, odometry=told == "measured")
 
 
+def _frame(film: Film, i: int, number: int, told: str, rng: Rng) -> RgbdFrame:
+    """Image i of a film as frame `number`, with the camera pose given as `told`."""
+    _, stage, loop, _ = film
+    T_parent_cam, stamp_ns = given_pose(told, stage, i, rng), round(number * 1e9 / HZ)
+    return RgbdFrame(loop.color(i), loop.depth(i), stage.camera, number, stamp_ns, 1, T_parent_cam)
+
+
 def played(
     models: Mapping[str, ReferenceModel], film: Film, number: int, every: int, told: str, rng: Rng
 ) -> Row:
     """The result of one film that is tracked from the true poses of its first frame."""
-    names, stage, loop, truth = film
+    names, _, _, truth = film
     tracker = Tracker({name: models[name] for name in names}, _config(told))
     visible = right = wrong = 0
     for i in range(0, FRAMES, every):
-        T_parent_cam, stamp_ns = given_pose(told, stage, i, rng), round(i * 1e9 / HZ)
-        frame = RgbdFrame(loop.color(i), loop.depth(i), stage.camera, i, stamp_ns, 1, T_parent_cam)
-        poses = dict(zip(names, np.array(truth[i]["T"]), strict=True))
-        share = dict(zip(names, truth[i]["seen"], strict=True))
+        frame = _frame(film, i, i, told, rng)
+        poses = dict(zip(names, np.array(truth[i]["T_cam_obj"]), strict=True))
+        share = dict(zip(names, truth[i]["visib_fract"], strict=True))
         for name in names if i == 0 else ():
             if share[name] >= VISIBLE:
                 tracker.correct(Correction.first(name, poses[name], frame, 1.0))
@@ -175,27 +178,17 @@ def searched(
     models: Mapping[str, ReferenceModel], film: Film, number: int, told: str, rng: Rng
 ) -> Iterator[Found]:
     """The results of the objects of one film without first poses: all models are searched for."""
-    names, stage, loop, truth = film
+    names, _, _, truth = film
     order = [*range(FRAMES), *reversed(range(FRAMES))]
-    frames = (
-        RgbdFrame(
-            loop.color(i),
-            loop.depth(i),
-            stage.camera,
-            k,
-            round(k * 1e9 / HZ),
-            1,
-            given_pose(told, stage, i, rng),
-        )
-        for k, i in enumerate(order)
-    )
     tracker = Tracker(models, _config(told))
     reinit = ReinitLoop(objects=[ObjectSlot.of(model) for model in models.values()])
-    films = (Seen(frame, NOWHERE, 1.0) for frame in frames)
+    films = (Seen(_frame(film, i, k, told, rng), NOWHERE, 1.0) for k, i in enumerate(order))
     states: dict[str, list[tuple[bool, bool, bool]]] = {name: [] for name in names}
     for i, (_, poses) in zip(order, followed(films, tracker, reinit, Sight(*models.values())), strict=True):
         of = {pose.object: pose for pose in poses if pose.state is State.TRACKING}
-        for name, T, share in zip(names, np.array(truth[i]["T"]), truth[i]["seen"], strict=True):
+        for name, T, share in zip(
+            names, np.array(truth[i]["T_cam_obj"]), truth[i]["visib_fract"], strict=True
+        ):
             error = error_of(models[name], of[name].T_cam_obj, T) if name in of else np.inf
             right = error < metrics.RECALL_FRACTION
             states[name].append((share >= VISIBLE, right, name in of and not right))
@@ -241,24 +234,20 @@ def main() -> None:
     parser.add_argument("--told", nargs="+", choices=TOLD, default=TOLD)
     parser.add_argument("--search", action="store_true", help="without first poses, by live perception")
     given = parser.parse_args()
-    done: list[Row] = []
-    found: list[Found] = []
+    done: list[Row | Found] = []
     for row in rows(given):
-        if isinstance(row, Found):
-            found.append(row)
-        else:
-            done.append(row)
-        write_json(given.json, {"rows": [vars(one) for one in done or found]})
-    for told in given.told if found else ():
-        print(_found_line(told, [one for one in found if one.told == told]))
-    if found:
+        done.append(row)
+        write_json(given.json, {"rows": [vars(one) for one in done]})
+    if given.search:
+        found = [row for row in done if isinstance(row, Found)]
+        for told in given.told:
+            print(_found_line(told, [one for one in found if one.told == told]))
         return
     print("every camera    visible right wrong")
-    for every in given.every:
-        for told in given.told:
-            some = [row for row in done if (row.every, row.told) == (every, told)]
-            sums = [sum(getattr(row, name) for row in some) for name in ("visible", "right", "wrong")]
-            print(f"{every:5d} {told:9s} {sums[0]:7d} {sums[1]:5d} {sums[2]:5d}")
+    for every, told in product(given.every, given.told):
+        some = [row for row in done if isinstance(row, Row) and (row.every, row.told) == (every, told)]
+        sums = [sum(getattr(row, name) for row in some) for name in ("visible", "right", "wrong")]
+        print(f"{every:5d} {told:9s} {sums[0]:7d} {sums[1]:5d} {sums[2]:5d}")
 
 
 if __name__ == "__main__":

@@ -170,8 +170,7 @@ class SyntheticScene:
                 )
                 while len(ahead) < 2 * workers and i + len(ahead) < self._n_frames:
                     ahead.append(pool.submit(take, i + len(ahead)))
-                shot = ahead.pop(0).result()
-                yield shot.color, shot.depth, _row(shot)
+                yield ahead.pop(0).result().kept()
 
 
 def first_shot(objects: Mapping[str, Mesh]) -> Shot:
@@ -187,11 +186,3 @@ def check_scene(objects: Mapping[str, Mesh], seed: int = 0) -> None:
     from huepose.scenes.plan import check_room
 
     check_room(objects, seed, round(SECONDS * RATE_HZ), CAMERA)
-
-
-def _row(shot: Shot) -> dict[str, Any]:
-    return {
-        "T_cam_obj": shot.labels.T_cam_obj.tolist(),
-        "visib_fract": shot.labels.visib_fract.tolist(),
-        "box_visib": [None if box is None else list(box) for box in shot.labels.box_visib],
-    }

@@ -8,6 +8,7 @@ instant.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -117,6 +118,13 @@ class Shot:
     depth: Float32
     labels: Labels
     owner: np.ndarray[tuple[int, ...], np.dtype[np.int16]]
+
+    def kept(self) -> tuple[UInt8, Float32, dict[str, Any]]:
+        """The frame and its truth, as they are kept in a loop file."""
+        boxes = [None if box is None else list(box) for box in self.labels.box_visib]
+        T_cam_obj, visib_fract = self.labels.T_cam_obj.tolist(), self.labels.visib_fract.tolist()
+        truth = {"T_cam_obj": T_cam_obj, "visib_fract": visib_fract, "box_visib": boxes}
+        return self.color, self.depth, truth
 
 
 def shoot(

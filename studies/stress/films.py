@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from huepose.datasets.fast_ycb import FastYcbSequence, object_of
 from huepose.geometry import RgbdFrame, se3
-from huepose.geometry.arrays import Float32, Float64, Rng, UInt8
+from huepose.geometry.arrays import Float64, Rng
 from huepose.model import ReferenceModel
 from huepose.scenes.camera import COLOR, RATE_HZ, STEREO
 from huepose.scenes.carried import FRAMES, staged
@@ -75,19 +74,13 @@ def rendered(
     path = cache / f"{name}-{VERSION}.loop"
     sensor, first = STEREO if number % 2 == 1 else None, seed * 1000 + number
     shots = (shoot(stage, i, first, COLOR, sensor) for i in range(_frames(kind)))
-    loop, rows = kept_loop(path, lambda: map(_kept_row, shots))
+    loop, rows = kept_loop(path, lambda: map(Shot.kept, shots))
     frames = []
     for i, row in enumerate(rows):
         frame = RgbdFrame(loop.color(i), loop.depth(i), stage.camera, i, round(i * 1e9 / RATE_HZ), 1)
         frames.append(Seen(frame, np.array(row["T_cam_obj"][0]), row["visib_fract"][0]))
     others = [stage.T_room_mesh[k, 0] for k in range(2, len(stage.meshes))]
     return Film(name, kind, model.name, tuple(frames), np.array(others).reshape(-1, 4, 4))
-
-
-def _kept_row(shot: Shot) -> tuple[UInt8, Float32, dict[str, Any]]:
-    """A frame and its truth, as kept in a loop file."""
-    truth = {"T_cam_obj": shot.labels.T_cam_obj.tolist(), "visib_fract": shot.labels.visib_fract.tolist()}
-    return shot.color, shot.depth, truth
 
 
 def recorded(path: Path, models: Mapping[str, ReferenceModel]) -> Film:

@@ -26,9 +26,11 @@ class PointPairFeatures:
     def __init__(self, python: Path) -> None:
         if not python.exists():
             raise InputError(
-                python, found="no such file", expected="the environment of OpenCV-contrib",
+                python,
+                found="no such file",
+                expected="the environment of OpenCV-contrib",
                 fix="Run benchmarks/make_env.sh first.",
-            )  # fmt: skip
+            )
         self._worker = subprocess.Popen(
             [python, Path(__file__).with_name("ppf_worker.py")], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )

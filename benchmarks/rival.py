@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
@@ -119,6 +120,12 @@ def answer(query: ObjectQuery, T_cam_obj: Float64 | None, fitness: float) -> Pos
     """A pose as an estimate, for the evaluation."""
     found = T_cam_obj is not None
     return PoseEstimate(
-        query.object, query.instance, found, T_cam_obj, float(np.clip(fitness, 0.0, 1.0)),
-        "SUSPECT" if found else "LOST", fitness, 0.0, None, None, query.box, None, None, (), 0.0,
-    )  # fmt: skip
+        query.object,
+        query.instance,
+        found,
+        T_cam_obj,
+        quality=float(np.clip(fitness, 0.0, 1.0)),
+        state=State.SUSPECT if found else State.LOST,
+        score=fitness,
+        box=query.box,
+    )

@@ -56,10 +56,13 @@ def _made(model: ReferenceModel) -> WindowTable:
     some = ViewTemplates(t.directions[:VIEWS], t.planes[:VIEWS, ::ROLL_STRIDE], t.origins[:VIEWS], t.span)
     coarse = coarse_views(some, MIN_COVERAGE)
     return WindowTable(
-        codes_of_views(model.mesh, model.diameter_m), *view_poses(some),
-        coarse.used, coarse.coverage, coarse.coverage * coarse.values[..., 3],
+        codes_of_views(model.mesh, model.diameter_m),
+        *view_poses(some),
+        coarse.used,
+        coarse.coverage,
+        coarse.coverage * coarse.values[..., 3],
         _hues(coarse, some.planes.shape[1]),
-    )  # fmt: skip
+    )
 
 
 def middle_hues(weight: Float32, weighted: Float32) -> Float32:

@@ -312,9 +312,10 @@ class ReinitLoop:
         if lost and len(here) < slot.max_instances:
             return (slot.object, max(lost, key=lambda t: (t.stamp_ns, -t.instance)).instance)
         never_came = [
-            k for k in self._outbox.instances
+            k
+            for k in self._outbox.instances
             if k[0] == slot.object and k not in coming and k not in self._tracks
-        ]  # fmt: skip
+        ]
         if never_came:
             return max(never_came)
         arriving = [k for k in (*self._outbox.instances, *taken) if k[0] == slot.object]

@@ -49,8 +49,8 @@ def main() -> None:
             stated = np.concatenate([chances(f, fit) for f in frames])
             for level in LEVELS:
                 over = stated >= level
-                rows.append([name, weights, level, len(there), int(there.sum()), 100.0 * over[there].mean(),
-                             over[~there].sum() / len(frames)])  # fmt: skip
+                shares = (100.0 * over[there].mean(), over[~there].sum() / len(frames))
+                rows.append([name, weights, level, len(there), int(there.sum()), *shares])
     print(table(["set", "weights", "level", "poses", "there", "over level %", "others per frame"], rows))
 
 

@@ -161,9 +161,8 @@ def _near_ties(fitted: Fitted, labels: Judged) -> str:
         tied = (second >= low) & (second < high)
         if tied.any():
             right = labels.which[tied]
-            rows.append([f"{low} to {high}", int(tied.sum()), 100.0 * first[tied].mean(),
-                         100.0 * (right == 0).mean(), 100.0 * second[tied].mean(),
-                         100.0 * (right == 1).mean()])  # fmt: skip
+            shares = [first[tied], right == 0, second[tied], right == 1]
+            rows.append([f"{low} to {high}", int(tied.sum()), *(100.0 * s.mean() for s in shares)])
     heading = ["alternative stated", "n", "first stated %", "first right %", "it stated %", "it right %"]
     return table(heading, rows)
 
@@ -192,8 +191,8 @@ def rendered_scene(scene: Path, models: str, frames: int, seed: int, *more: str)
     """A scene of `huepose render-scenes`, rendered if it is missing or incomplete."""
     there = len(BopScene(scene).image_ids) if (scene / "scene_gt.json").exists() else 0
     if there < frames:
-        _run("render-scenes", "--models", models, "--out", str(scene),
-             "--frames", str(frames), "--seed", str(seed), *more)  # fmt: skip
+        size = ("--frames", str(frames), "--seed", str(seed))
+        _run("render-scenes", "--models", models, "--out", str(scene), *size, *more)
     return scene
 
 
@@ -219,8 +218,8 @@ def _run(*words: str) -> None:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Fit quality completely, in one run.")
     parser.add_argument("--models", type=Path, required=True, metavar="DIR", help="BOP models folder")
-    parser.add_argument("--bundles", type=Path, default=None, metavar="DIR",
-                        help="their reference models (onboarded under --work)")  # fmt: skip
+    bundles = "their reference models (onboarded under --work)"
+    parser.add_argument("--bundles", type=Path, default=None, metavar="DIR", help=bundles)
     parser.add_argument("--work", type=Path, default=Path("build/quality"), metavar="DIR")
     parser.add_argument("--methods", nargs="+", choices=tuple(FEATURES), default=list(FEATURES))
     parser.add_argument("--processes", type=int, default=2, metavar="N")

@@ -58,9 +58,17 @@ class Oracle:
         instance = -1 if asked.instance is None else asked.instance
         covariance = np.diag([SHIFT_M**2] * 3 + [TURN_RAD**2] * 3)
         return PoseEstimate(
-            asked.object, instance, True, T, 0.95, State.TRACKING, SCORE, 0.3, covariance, None, None,
-            prior_score, prior, (), 0.1,
-        )  # fmt: skip
+            asked.object,
+            instance,
+            True,
+            T,
+            quality=0.95,
+            state=State.TRACKING,
+            score=SCORE,
+            covariance=covariance,
+            prior_score=prior_score,
+            prior_T_cam_obj=prior,
+        )
 
 
 @dataclass(frozen=True)

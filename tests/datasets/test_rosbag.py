@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-pytest.importorskip("rosbags")
+pytest.importorskip("rosbags", reason="rosbags is not installed")
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
@@ -71,7 +71,7 @@ class Ros:
         return self.types["sensor_msgs/msg/CameraInfo"](
             header=self.header(START_NS), height=camera.height, width=camera.width,
             distortion_model=model, binning_x=0, binning_y=0, roi=roi, **named,
-        )  # fmt: skip
+        )  # fmt: skip  # else one a line
 
     def write(self, path: Path, messages: Iterable[tuple[str, int, Any]]) -> Path:
         """Write a bag of (topic, recording time, message)."""

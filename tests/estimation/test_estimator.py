@@ -191,24 +191,24 @@ def test_arguments_of_another_type_are_refused(
 ) -> None:
     query = ObjectQuery("tea_box", box_of(box_frame, tea_box, standing))
     with pytest.raises(InputError, match=r"found str; expected reference models.*load_models\(dir\)"):
-        Estimator("bundles")  # type: ignore[arg-type]
+        Estimator("bundles")
     with pytest.raises(InputError, match=r"found tuple; expected a Box\. Make one: Box\(x, y, w, h\)"):
-        ObjectQuery("tea_box", (1, 2, 3, 4))  # type: ignore[arg-type]
+        ObjectQuery("tea_box", (1, 2, 3, 4))
     with pytest.raises(InputError, match=r"box of 'tea_box': found Box\(x=nan.*; expected finite numbers"):
         ObjectQuery("tea_box", Box(float("nan"), 2, 3, 4))
     with pytest.raises(
         InputError, match=r"prior of 'tea_box': found ndarray; expected a PosePrior.*Make one"
     ):
-        ObjectQuery("tea_box", prior=np.eye(4))  # type: ignore[arg-type]
+        ObjectQuery("tea_box", prior=np.eye(4))
     small = ObjectQuery("tea_box", masks=(np.ones((240, 320), bool),), others=(standing,))
     with pytest.raises(InputError, match=r"mask of 'tea_box': found \(240, 320\); expected \(480, 640\)"):
         estimator.estimate(box_frame, [small])
     with pytest.raises(InputError, match=r"queries: found ObjectQuery; expected a list of ObjectQuery"):
-        estimator.estimate(box_frame, query)  # type: ignore[arg-type]
+        estimator.estimate(box_frame, query)
     with pytest.raises(InputError, match=r"query: found str; expected an ObjectQuery"):
-        estimator.estimate(box_frame, ["tea_box"])  # type: ignore[list-item]
+        estimator.estimate(box_frame, ["tea_box"])
     with pytest.raises(InputError, match=r"frame: found None; expected an RgbdFrame"):
-        estimator.estimate(None, [query])  # type: ignore[arg-type]
+        estimator.estimate(None, [query])
 
 
 def test_wrong_queries_say_what_to_do(estimator: Estimator, box_frame: RgbdFrame) -> None:

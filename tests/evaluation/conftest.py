@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.datasets.types import GroundTruth
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import Box, Camera, Mesh, RgbdFrame, se3
@@ -103,11 +104,9 @@ def estimate_of(
     query: ObjectQuery, T: np.ndarray | None, quality: float = 0.9, score: float = 0.8
 ) -> PoseEstimate:
     """An estimate with this pose."""
-    state = "LOST" if T is None else "TRACKING" if quality > 0.8 else "SUSPECT"
-    return PoseEstimate(
-        query.object, query.instance, T is not None, T, quality, state, score, 0.2, None, None, query.box,
-        None, None, (), 0.0,
-    )  # fmt: skip
+    state = State.LOST if T is None else State.TRACKING if quality > 0.8 else State.SUSPECT
+    found = T is not None
+    return PoseEstimate(query.object, query.instance, found, T, quality, state, score, box=query.box)
 
 
 @dataclass(eq=False)

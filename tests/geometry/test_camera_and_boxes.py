@@ -115,9 +115,9 @@ def test_a_frame_without_depth_or_camera_is_refused_with_what_to_do() -> None:
     camera = Camera(600.0, 600.0, 4.0, 3.0, 8, 6)
     color, depth = np.zeros((6, 8, 3), np.uint8), np.ones((6, 8), np.float32)
     with pytest.raises(InputError, match=r"depth image: found None; expected a numpy array. Every frame"):
-        RgbdFrame(color, None, camera)  # type: ignore[arg-type]
+        RgbdFrame(color, None, camera)
     with pytest.raises(InputError, match=r"camera: found ndarray; expected a Camera. Make one: Camera"):
-        RgbdFrame(color, depth, np.eye(3))  # type: ignore[arg-type]
+        RgbdFrame(color, depth, np.eye(3))
 
 
 def test_depth_noise_is_that_of_a_stereo_camera_over_a_floor() -> None:

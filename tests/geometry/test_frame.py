@@ -73,5 +73,5 @@ def test_the_camera_pose_is_kept_though_its_array_is_written_again() -> None:
 def test_a_timestamp_is_whole_nanoseconds() -> None:
     depth = np.ones((6, 8), np.float32)
     with pytest.raises(InputError, match=r"stamp_ns: found float; expected a whole number. Nanoseconds of a"):
-        RgbdFrame(COLOR, depth, CAMERA, stamp_ns=0.033)  # type: ignore[arg-type]
+        RgbdFrame(COLOR, depth, CAMERA, stamp_ns=0.033)
     assert type(RgbdFrame(COLOR, depth, CAMERA, np.int64(3), np.int64(7)).stamp_ns) is int

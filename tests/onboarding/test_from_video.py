@@ -27,7 +27,7 @@ from huepose.scenes.room import sheet, table_top
 from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
 
-pytest.importorskip("open3d")
+pytest.importorskip("open3d", reason="open3d is not installed")
 LEARN = import_module("huepose.onboarding.from_video.learn")  # the package exports a function of this name
 pytestmark = pytest.mark.timeout(400)  # the first test makes the mesh for all
 

@@ -86,9 +86,12 @@ def test_both_instances_are_found_where_they_are(
 
 @pytest.mark.parametrize("sources", [("views",), ("keypoints", "views")])
 def test_another_instance_is_found_beside_those_that_are_tracked(
-    frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, beside: np.ndarray,
+    frame: RgbdFrame,
+    tea_box: ReferenceModel,
+    standing: np.ndarray,
+    beside: np.ndarray,
     sources: tuple[Source, ...],
-) -> None:  # fmt: skip
+) -> None:
     config = DetectorConfig(sources=sources, proposals=1, remembering=True)
     detector = ViewDetector({"tea_box": tea_box}, config)
     for known, other in ((standing, beside), (beside, standing)):

@@ -35,7 +35,7 @@ def track(
     return TrackedPose(
         object_name, instance, epoch, frame, round(stamp_ms * MS), state, T, velocity, quality, covariance,
         applied
-    )  # fmt: skip
+    )  # fmt: skip  # else one a line
 
 
 def estimate(
@@ -48,10 +48,9 @@ def estimate(
     found: bool = True,
     present: float | None = None,
 ) -> PoseEstimate:
-    return PoseEstimate(
-        object_name, instance, found, (pose() if T is None else T) if found else None, quality, "TRACKING",
-        score, 0.3, None, None, None, prior_score, None, (), 0.1, present=present,
-    )  # fmt: skip
+    T = (pose() if T is None else T) if found else None
+    more = {"score": score, "prior_score": prior_score, "present": present}
+    return PoseEstimate(object_name, instance, found, T, quality, State.TRACKING, **more)
 
 
 def result(

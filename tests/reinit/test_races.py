@@ -261,8 +261,10 @@ def test_a_new_epoch_counts_whatever_its_timestamps() -> None:
 def test_an_epoch_that_has_ended_begins_again_only_with_a_later_frame() -> None:
     frame = NewestFrame()
     assert [frame.note(*it) for it in ((1, 5, 100), (1, 6, 133), (2, 0, 40))] == [
-        Began.EPOCH, Began.NOTHING, Began.EPOCH
-    ]  # fmt: skip
+        Began.EPOCH,
+        Began.NOTHING,
+        Began.EPOCH,
+    ]
     assert [frame.note(1, 6, 133), frame.note(1, 4, 67)] == [Began.NOTHING] * 2
     assert frame.note(1, 7, 166) is Began.EPOCH
     for epoch in range(3, 3 + 2 * MOST_ENDED):

@@ -102,7 +102,7 @@ def test_blank_between_charts_does_not_bleed_into_the_texture() -> None:
 
 
 def test_agrees_with_ray_casting() -> None:
-    o3d = pytest.importorskip("open3d")
+    o3d = pytest.importorskip("open3d", reason="open3d is not installed")
     mesh = blob(90)
     T = se3.make(se3.rotation_exp(np.array([1.2, 0.4, 0.3])), np.array([0.03, -0.02, 0.5]))
     scene = o3d.t.geometry.RaycastingScene()

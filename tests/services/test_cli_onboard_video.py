@@ -99,7 +99,7 @@ def test_all_frames_of_every_kind_of_recording_are_used(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    pytest.importorskip("open3d")
+    pytest.importorskip("open3d", reason="open3d is not installed")
     read: list[RgbdFrame] = []
 
     def learn(frames: Iterable[RgbdFrame], *_: object) -> None:
@@ -133,7 +133,7 @@ def test_a_file_that_is_no_recording_is_not_taken_for_a_folder(
 
 
 def test_a_recording_replaces_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("open3d")
+    pytest.importorskip("open3d", reason="open3d is not installed")
     from huepose_services.cli import onboard
     from tests.onboarding.test_from_video import BOX
 

@@ -113,28 +113,22 @@ def test_a_request_and_its_priors_are_decoded_unchanged():
 @pytest.mark.parametrize("instance", [None, 3])
 def test_estimates_are_decoded_unchanged(instance):
     found = PoseEstimate(
-        "thing", -1, True, T, 0.9, "TRACKING", 1.5, 0.2, COVARIANCE, MASK, Box(1, 2, 3, 4), 1.4, T, (), 0.1,
-        present=0.96,
-    )  # fmt: skip
-    lost = PoseEstimate(
         "thing",
         -1,
-        False,
-        None,
-        0.0,
-        "LOST",
-        0.1,
-        0.0,
-        None,
-        None,
-        None,
-        None,
-        None,
-        (),
-        0.1,
-        None,
-        "Hidden.",
+        True,
+        T,
+        quality=0.9,
+        state=State.TRACKING,
+        score=1.5,
+        margin=0.2,
+        covariance=COVARIANCE,
+        mask=MASK,
+        box=Box(1, 2, 3, 4),
+        prior_score=1.4,
+        prior_T_cam_obj=T,
+        present=0.96,
     )
+    lost = PoseEstimate("thing", -1, score=0.1, reason="Hidden.")
     message = Estimates(
         publish_ns=1,
         request_seq=8,

@@ -22,7 +22,7 @@ list(checks.cameras([]))
 def test_no_library_stores_data_to_send(program: str, tmp_path) -> None:
     """Either library first stores what it would send as a file in the user's cache."""
     if program is DEPTHAI:
-        pytest.importorskip("depthai")
+        pytest.importorskip("depthai", reason="depthai is not installed")
     # Not the whole environment: if it says CI, ONNX Runtime sends nothing anyway.
     kept = {name: os.environ[name] for name in ("PATH", "PYTHONPATH") if name in os.environ}
     done = subprocess.run(

@@ -177,11 +177,14 @@ def test_a_doubtful_acquisition_is_suspect_until_perception_agrees(tea_box, film
     assert pose.quality > 0.8
 
 
-@pytest.mark.parametrize(("quality", "present", "state"), [
-    (0.91, 0.99, State.TRACKING),  # it is there, and no other orientation fits as well
-    (0.91, 0.93, State.SUSPECT),   # one in fourteen times it is something else
-    (0.8, 0.99, State.SUSPECT),    # it is there, in one of several poses
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("quality", "present", "state"),
+    [
+        (0.91, 0.99, State.TRACKING),  # it is there, and no other orientation fits as well
+        (0.91, 0.93, State.SUSPECT),  # one in fourteen times it is something else
+        (0.8, 0.99, State.SUSPECT),  # it is there, in one of several poses
+    ],
+)
 def test_one_answer_is_enough_if_presence_and_orientation_are_certain(
     tea_box, film, path, quality, present, state
 ) -> None:

@@ -21,9 +21,12 @@ def scheme(rng: Rng) -> Palette:
         return red, green, blue
 
     return Palette(
-        any_colour(0.45, 0.85), any_colour(0.5, 0.95), any_colour(0.1, 0.3), any_colour(0.85, 1.0),
+        any_colour(0.45, 0.85),
+        any_colour(0.5, 0.95),
+        any_colour(0.1, 0.3),
+        any_colour(0.85, 1.0),
         any_colour(0.4, 0.9),
-    )  # fmt: skip
+    )
 
 
 def _inks(p: Palette) -> tuple[Colour, ...]:

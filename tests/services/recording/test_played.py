@@ -415,7 +415,7 @@ def test_a_waiting_command_finds_a_pipeline_that_starts_at_another_port(
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     if verb == "view":
-        pytest.importorskip("rerun")
+        pytest.importorskip("rerun", reason="rerun is not installed")
     waiting = huepose(
         *(["record", "out", "--free", "0"] if verb == "record" else ["view", "--save", "v.rrd"])
     )

@@ -142,7 +142,7 @@ def test_keys_and_tokens_are_those_of_rmw_zenoh() -> None:
         topic_key("/chatter", kind, 0, "rmw_zenoh") == f"0/chatter/std_msgs::msg::dds_::String_/{STRING_HASH}"
     )
     assert topic_key("/robot/chatter", kind, 0, "bridge") == "robot/chatter"
-    session = "aac3178e146ba6f1fc6e6a4085e77f21"  # pragma: allowlist secret
+    session = "a1" * 16
     assert node_token(2, session, "talker") == f"@ros2_lv/2/{session}/0/0/NN/%/%/talker"
     assert endpoint_token("MP", 2, session, "talker", 10, "/chatter", kind) == (
         f"@ros2_lv/2/{session}/0/10/MP/%/%/talker/%chatter/std_msgs::msg::dds_::String_/{STRING_HASH}"

@@ -141,7 +141,7 @@ def test_a_depth_image_without_readings_has_a_range():
 @pytest.fixture
 def shown(tmp_path):
     """A function that makes a Show of bodies; its `written` completes the file and gives its path."""
-    pytest.importorskip("rerun")
+    pytest.importorskip("rerun", reason="rerun is not installed")
     from huepose_services.viewer.show import Show
     from huepose_services.viewer.sinks import saved
 
@@ -213,7 +213,7 @@ def test_instances_of_one_object_differ_in_colour(shown):
 
 
 def test_a_taken_port_is_named():
-    pytest.importorskip("rerun")
+    pytest.importorskip("rerun", reason="rerun is not installed")
     import socket
 
     from huepose.support.errors import InputError
@@ -228,7 +228,7 @@ def test_a_taken_port_is_named():
 
 
 def test_without_a_screen_it_says_what_to_do(monkeypatch):
-    pytest.importorskip("rerun")
+    pytest.importorskip("rerun", reason="rerun is not installed")
     from huepose.support.errors import InputError
     from huepose_services.viewer.sinks import window
 
@@ -274,7 +274,7 @@ with full_disk(100_000):
 
 
 def test_a_full_disk_is_reported_at_the_start_of_a_file_and_later(tmp_path):
-    pytest.importorskip("rerun")
+    pytest.importorskip("rerun", reason="rerun is not installed")
     # In a process of its own: rerun never gives up a file that it could not write.
     program = [sys.executable, "-c", FULL, str(tmp_path)]
     done = subprocess.run(program, capture_output=True, text=True, timeout=60.0)

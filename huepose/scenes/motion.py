@@ -100,7 +100,9 @@ def object_paths(radii: Float, camera: Camera, timing: Timing, rng: Rng, haste: 
     speeds are 0.35 to 0.6 m/s, times `haste`, and 150 to 370 degrees a second. Slower paths are shorter, so
     more objects have room. Raises RuntimeError if the objects have no room.
     """
-    for _ in range(200):
+    focal = (camera.fx + camera.fy) / 2
+    fits = 1.6 * focal * max(radii) / FARTHEST_M < min(camera.width, camera.height) + 8
+    for _ in range(200 if fits else 0):
         tracks: list[Float64] = []
         for radius in radii:
             track = _place(float(radius), radii[: len(tracks)], tracks, camera, timing, rng, haste)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import se3
+from huepose.scenes import motion
 from huepose.scenes.camera import CAMERA
 from huepose.scenes.motion import (
     FARTHEST_M,
@@ -73,6 +74,12 @@ def test_objects_stay_in_view_over_the_table_and_apart(paths: np.ndarray) -> Non
 def test_same_seed_same_paths() -> None:
     a, b = (object_paths(RADII[:2], CAMERA, TIMING, np.random.default_rng(5)) for _ in range(2))
     assert np.array_equal(a, b)
+
+
+def test_an_object_that_is_larger_than_the_image_is_refused_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(motion, "_place", None)
+    with pytest.raises(RuntimeError, match="no room"):
+        object_paths(np.array([0.09, 0.9]), CAMERA, TIMING, np.random.default_rng(0))
 
 
 def test_too_many_objects_are_refused() -> None:

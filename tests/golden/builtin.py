@@ -23,7 +23,7 @@ import numpy as np
 from huepose import Correction, ObjectQuery, ReferenceModel, RgbdFrame
 from huepose.geometry import Mesh
 from huepose.scenes.camera import CAMERA, COLOR, STEREO
-from huepose.scenes.frame import Stage, shoot
+from huepose.scenes.frame import Shot, Stage, shoot
 from huepose.scenes.plan import plan
 from huepose.scenes.rendered import PILES, rendered_frame
 from huepose.scenes.shapes import demo_objects
@@ -73,13 +73,27 @@ def stage() -> Stage:
     return plan(meshes(), _SEED, _LOOP_FRAMES, CAMERA)
 
 
-def frames(first: int, every: int, names: Sequence[str]) -> Iterator[tuple[RgbdFrame, list[Correction]]]:
-    """_FRAMES frames of the scene, with the true pose of each object as the first correction about it."""
+@cache
+def shot(number: int) -> Shot:
+    """A frame of the scene; the sequences have some in common."""
+    return shoot(stage(), number, _SEED, COLOR, STEREO)
+
+
+def frames(
+    first: int, every: int, names: Sequence[str], occluded: range = range(0)
+) -> Iterator[tuple[RgbdFrame, list[Correction]]]:
+    """_FRAMES frames of the scene, with the true pose of each object as the first correction about it.
+    Frames of these places in the sequence show a board, and have no corrections."""
     order = list(meshes())
-    for i in range(first, first + every * _FRAMES, every):
-        shot = shoot(stage(), i, _SEED, COLOR, STEREO)
-        frame = RgbdFrame(shot.color, shot.depth, CAMERA, i, round(i * 1e9 / _RATE_HZ))
-        poses = shot.labels.T_cam_obj
+    for k, i in enumerate(range(first, first + every * _FRAMES, every)):
+        stamp_ns = round(i * 1e9 / _RATE_HZ)
+        if k in occluded:
+            size = CAMERA.height, CAMERA.width
+            color, depth = np.full((*size, 3), 120, np.uint8), np.full(size, 0.35, np.float32)
+            yield RgbdFrame(color, depth, CAMERA, i, stamp_ns), []
+            continue
+        frame = RgbdFrame(shot(i).color, shot(i).depth, CAMERA, i, stamp_ns)
+        poses = shot(i).labels.T_cam_obj
         yield frame, [Correction.first(name, poses[order.index(name)], frame, 1.0) for name in names]
 
 
@@ -96,10 +110,7 @@ def occluded(question: str, first: int, names: Sequence[str]) -> Answers:
 
     def steps() -> Iterator[Step]:
         late: list[Correction] = []
-        for k, (frame, truth) in enumerate(frames(first, 1, names)):
-            if k in _OCCLUDED:
-                color = np.full_like(frame.color, 120)
-                frame = replace(frame, color=color, depth=np.full_like(frame.depth, 0.35))
+        for k, (frame, truth) in enumerate(frames(first, 1, names, _OCCLUDED)):
             if k == _LATE[0]:
                 late = [replace(correction, seq=2) for correction in truth]
             yield Step(frame, truth if k == 0 else late if k == _LATE[1] else ())

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import subprocess
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 import tomllib
@@ -17,6 +19,14 @@ GLIBC = 35
 EXTRAS = ("edge", "viewer", "realsense", "oak", "onboard", "ros2", "secure")
 
 
+@cache
+def _wheels() -> dict[tuple[str, str | None], list[dict[str, Any]]]:
+    """The wheels of each locked package, by name and version."""
+    lock = tomllib.loads((ROOT / "uv.lock").read_text())
+    return {(p["name"], p.get("version")): p.get("wheels", []) for p in lock["package"]}
+
+
+@cache
 def _exported(extras: tuple[str, ...]) -> list[Requirement]:
     """The locked requirements of these extras, with their markers."""
     uv = sorted(ROOT.glob(".tools/uv-*/bin/uv"))
@@ -42,8 +52,6 @@ def _tags(python: tuple[int, int], machine: str) -> set[Tag]:
 @pytest.mark.parametrize("machine", ["x86_64", "aarch64"])
 @pytest.mark.parametrize("python", [(3, 10), (3, 11), (3, 12)], ids=["3.10", "3.11", "3.12"])
 def test_each_locked_package_has_a_wheel(python, machine, extras):
-    lock = tomllib.loads((ROOT / "uv.lock").read_text())
-    wheels = {(p["name"], p.get("version")): p.get("wheels", []) for p in lock["package"]}
     version = ".".join(map(str, python))
     there = {"python_version": version, "python_full_version": f"{version}.0", "platform_machine": machine}
     there |= {"sys_platform": "linux", "platform_system": "Linux", "implementation_name": "cpython"}
@@ -53,7 +61,7 @@ def test_each_locked_package_has_a_wheel(python, machine, extras):
     missing = []
     for requirement in wanted:
         (pinned,) = requirement.specifier
-        urls = (w["url"] for w in wheels[canonicalize_name(requirement.name), pinned.version])
+        urls = (w["url"] for w in _wheels()[canonicalize_name(requirement.name), pinned.version])
         if not any(parse_wheel_filename(url.rsplit("/", 1)[1])[3] & takes for url in urls):
             missing.append(str(requirement))
     assert missing == []

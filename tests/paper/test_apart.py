@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import cache
 
 import pytest
 
@@ -21,6 +22,7 @@ print(*sorted(name for name in sys.modules if name.split(".")[:2] == ["huepose",
 """
 
 
+@cache
 def loaded(code: str) -> set[str]:
     """Modules of the package `paper` that a new process has loaded after running the code."""
     done = subprocess.run(

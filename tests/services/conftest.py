@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 
 from huepose.model.io import model_path, save_model
+from huepose.onboarding import batch
+from huepose.onboarding.reference import silent
 from huepose.scenes.builtin import SyntheticScene
 from huepose_services.cli.main import BAD_INPUT, main
 from huepose_services.runtime.config import parse_all
@@ -146,6 +148,18 @@ def processes():
                 except subprocess.TimeoutExpired:
                     process.kill()
             process.communicate()
+
+
+@pytest.fixture
+def onboards_here(monkeypatch):
+    """Folders of meshes are onboarded in this process: a new one first imports and loads all it needs
+    (`tests/onboarding/test_onboard.py` starts processes)."""
+
+    def onboarded(jobs, bundles, _):
+        for job in jobs:
+            yield batch.onboard_one(job, bundles, silent)
+
+    monkeypatch.setattr(batch, "onboard_many", onboarded)
 
 
 @pytest.fixture

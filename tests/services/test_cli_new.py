@@ -15,7 +15,9 @@ import numpy as np
 import pytest
 
 from huepose.datasets.bop_writer import write_obj
+from huepose.geometry import Mesh
 from huepose.model import ReferenceModel, save_model
+from huepose.onboarding import batch
 from huepose.scenes.builtin import first_shot
 from huepose_services.cli.main import main
 from huepose_services.cli.new import _PIPELINE
@@ -24,8 +26,15 @@ from tests.services.conftest import Says, heeds_ctrl_c
 
 
 def test_a_mesh_becomes_a_folder_whose_frame_gives_its_pose(
-    tea_box: ReferenceModel, tmp_path: Path, printed: Says
+    tea_box: ReferenceModel, tmp_path: Path, printed: Says, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Its reference model is there already: test_cli_onboard onboards meshes."""
+
+    def onboarded(mesh: Mesh, name: str, **_: object) -> ReferenceModel:
+        np.testing.assert_allclose(mesh.vertices, tea_box.mesh.vertices, atol=1e-6)
+        return replace(tea_box, mesh=mesh, name=name)
+
+    monkeypatch.setattr(batch, "onboard_mesh", onboarded)
     write_obj(tmp_path / "box.obj", tea_box.mesh)
     out = tmp_path / "mine ä"
     said = printed(["new", "box", tmp_path / "box.obj", "--unit", "m", "--no-test", "--out", out])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -147,6 +148,7 @@ def test_a_recording_replaces_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyP
         raise KeyboardInterrupt
 
     monkeypatch.setattr(onboard, "onboard_one", made)
+    monkeypatch.setattr(import_module("huepose.onboarding.from_video.learn"), "POLISHES", 1)
     main(given_for(recording, out))
     assert [(job.mesh_path, job.unit) for job in jobs] == [(out / "tea_mesh" / "tea.obj", "m")]
     mesh = read_mesh(out / "tea_mesh" / "tea.obj", "m")

@@ -37,6 +37,7 @@ def cells(table: Table, row: str) -> dict[tuple[str, str], object]:
 
 
 @pytest.mark.timeout(900)
+@pytest.mark.usefixtures("onboards_here")
 def test_the_whole_command_on_stand_ins(data: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / "results"
     command = ["eval", "tables", "--ycbv", str(data / "ycbv"), "--fast-ycb", str(data / "fast")]
@@ -110,6 +111,7 @@ def test_the_whole_command_on_stand_ins(data: Path, tmp_path: Path, capsys) -> N
 
 
 @pytest.mark.timeout(600)
+@pytest.mark.usefixtures("onboards_here")
 def test_unseen_objects_are_rendered_onboarded_and_measured(tmp_path: Path, monkeypatch, capsys) -> None:
     """Two of them, in one frame and one sequence."""
     from huepose.scenes import official_sets
@@ -118,6 +120,7 @@ def test_unseen_objects_are_rendered_onboarded_and_measured(tmp_path: Path, monk
     monkeypatch.setattr(official_sets, "unseen_objects", lambda seed: [family["oval_tin"], family["duck"]])
     small = partial(official_sets.write_unseen, scenes=1, frames=1, sequences=1)
     monkeypatch.setattr(official_sets, "write_unseen", small)
+    monkeypatch.setattr(official_sets, "SEQUENCE_FRAMES", 7)  # --quick leaves the last one out
     out = tmp_path / "results"
     command = ["eval", "tables", "--unseen", str(tmp_path / "unseen"), "--out", str(out), "--threads", "1"]
     assert main([*command, "--methods", "full", "--quick", "6", "--every", "1"]) == 0

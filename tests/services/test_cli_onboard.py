@@ -16,7 +16,8 @@ import pytest
 
 from huepose.evaluation import suitability
 from huepose.model import load_models
-from huepose.onboarding import batch, simplify
+from huepose.onboarding import batch, reference, simplify
+from huepose.propose.templates import build_templates
 from huepose_services.cli.main import main
 from huepose_services.cli.mesh_unit import with_unit
 from tests.onboarding import mesh_files as files
@@ -25,11 +26,19 @@ from tests.services.conftest import Says, heeds_ctrl_c
 
 
 @pytest.fixture
+def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Renders templates and keypoints from twelve sides only: they take most of an onboarding."""
+    monkeypatch.setattr("huepose.propose.keypoint_reference.LEVEL", 0)
+    monkeypatch.setattr(reference, "build_templates", partial(build_templates, level=0))
+
+
+@pytest.fixture
 def mesh(tmp_path: Path) -> Path:
     files.write_glb(tmp_path / "brick.glb", solids.printed_box((0.05, 0.04, 0.03)))
     return tmp_path / "brick.glb"
 
 
+@pytest.mark.usefixtures("few_views")
 def test_a_mesh_becomes_a_model(
     mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -51,6 +60,7 @@ def test_a_mesh_becomes_a_model(
     assert model.tables is None
 
 
+@pytest.mark.usefixtures("few_views")
 def test_a_model_gets_the_requested_tables_and_a_long_simplification_is_announced(
     mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -68,6 +78,7 @@ def test_a_model_gets_the_requested_tables_and_a_long_simplification_is_announce
     assert len(model.tables.cloud_points) > 0
 
 
+@pytest.mark.usefixtures("few_views", "onboards_here")
 def test_onboarding_a_folder_names_replaced_models_and_deletes_their_verdicts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -93,6 +104,7 @@ def test_onboarding_a_folder_names_replaced_models_and_deletes_their_verdicts(
     assert all(path.exists() for path in verdict_files)
 
 
+@pytest.mark.usefixtures("few_views")
 def test_validate_repeats_the_verdict_on_an_object_until_another_model_of_its_name_replaces_it(
     mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, printed
 ) -> None:
@@ -118,12 +130,6 @@ def test_validate_repeats_the_verdict_on_an_object_until_another_model_of_its_na
     assert f"note: {out / 'brick.huepose'} replaced another reference model named brick, made on " in said
     assert said.count("replaced") == 1
     assert "NOTE" not in printed(["validate", pipeline])
-
-
-@pytest.fixture
-def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Renders keypoints of a large object from twelve sides only: they take most of its onboarding."""
-    monkeypatch.setattr("huepose.propose.keypoint_reference.LEVEL", 0)
 
 
 @pytest.fixture

@@ -22,7 +22,6 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from scipy.stats import poisson
 
 from huepose.evaluation.metrics import RECALL_FRACTION
 from huepose.model import load_models
@@ -262,6 +261,8 @@ def may_be_wrong(poses: list[SeenPose]) -> int:
     """How many TRACKING poses may be wrong if the quality of each is its probability of being right: the
     probability of more is one in a thousand (Poisson, which is slightly wider than a sum of unequal
     chances)."""
+    from scipy.stats import poisson  # imported here because that takes a second
+
     chances = [1.0 - p.quality for p in poses if p.state == "TRACKING" and p.error is not None]
     return int(poisson.ppf(0.999, sum(chances))) if chances else 0
 

@@ -13,8 +13,8 @@ import pytest
 from huepose.geometry import Camera, Mesh, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
-from huepose.scenes.shapes import demo_objects
 from tests import onboarded
+from tests.meshes import demo_objects
 
 CAMERA = Camera(600.0, 605.0, 318.5, 241.0, 640, 480)
 

@@ -11,8 +11,8 @@ from huepose.geometry import se3
 from huepose.model import save_model
 from huepose.scenes.builtin import first_shot
 from huepose.scenes.camera import CAMERA
-from huepose.scenes.shapes import demo_objects
 from huepose_services.cli.new import write_frame
+from tests.meshes import demo_objects
 
 ROOT = Path(__file__).parents[1]
 

@@ -12,10 +12,10 @@ from huepose.geometry import Box, Mesh, RgbdFrame, se3
 from huepose.judge.texture_evidence import texture_evidence
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
-from huepose.scenes.shapes import demo_objects
 from huepose.select.distinct import RIGHT, different_answers
 from tests.conftest import TakePicture
 from tests.judge.regions import region_in
+from tests.meshes import demo_objects
 
 UPSIDE_DOWN = np.diag([-1.0, -1.0, 1.0])
 
@@ -75,7 +75,7 @@ def test_a_look_alike_is_doubted_and_an_empty_box_holds_nothing(
     assert alike.state != "TRACKING"
     assert own.terms.otherwise < 0.2 < 0.5 < alike.terms.otherwise
     assert own.terms.agreed > 1.0 > 0.6 > alike.terms.agreed
-    ball = demo_objects()["soup_can"]
+    ball = demo_objects(0)["soup_can"]
     small: Mesh = replace(ball, vertices=0.5 * ball.vertices)
     nothing = asked(tea_box, take_picture([(small, standing)]), standing)
     assert not nothing.found

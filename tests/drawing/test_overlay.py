@@ -10,7 +10,7 @@ import pytest
 from huepose.drawing import overlay
 from huepose.geometry import Camera, se3
 from huepose.rendering import render_depth
-from huepose.scenes.shapes import demo_objects
+from tests.meshes import demo_objects
 
 CAMERA = Camera(600.0, 600.0, 159.5, 119.5, 320, 240)
 IMAGE = np.full((240, 320, 3), 100, np.uint8)

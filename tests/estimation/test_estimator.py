@@ -14,10 +14,10 @@ from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PoseEsti
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
-from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
 from tests.boxes import box_of
 from tests.conftest import TakePicture
+from tests.meshes import demo_objects
 
 
 @pytest.fixture(scope="module")

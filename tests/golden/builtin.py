@@ -26,9 +26,9 @@ from huepose.scenes.camera import CAMERA, COLOR, STEREO
 from huepose.scenes.frame import Shot, Stage, shoot
 from huepose.scenes.plan import plan
 from huepose.scenes.rendered import PILES, rendered_frame
-from huepose.scenes.shapes import demo_objects
 from tests.golden.answers import Answers
 from tests.golden.asking import Step, estimated, tracked
+from tests.meshes import demo_objects
 from tests.onboarded import onboarded
 
 FILE = Path(__file__).parent / "builtin.json"

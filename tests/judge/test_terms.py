@@ -15,9 +15,9 @@ from huepose.judge.silhouette import visible_mask
 from huepose.judge.terms import CLOSE_SAMPLES, Terms, score, score_many
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
-from huepose.scenes.shapes import demo_objects
 from tests.conftest import TakePicture
 from tests.judge.regions import region_in, region_of
+from tests.meshes import demo_objects
 
 
 @pytest.fixture(scope="module")

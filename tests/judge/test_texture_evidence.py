@@ -13,9 +13,9 @@ from huepose.judge.region import Region
 from huepose.judge.texture_evidence import agreement_many, contrast_disagreement
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended.pair_score import pair_score_many
-from huepose.scenes.shapes import demo_objects
 from tests.conftest import TakePicture
 from tests.judge.regions import seen_by_pairs
+from tests.meshes import demo_objects
 
 
 def _disagreement(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> float:

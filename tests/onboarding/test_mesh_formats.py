@@ -216,7 +216,7 @@ def test_names_of_textures_may_be_in_quotes(tmp_path: Path, printed_box: Mesh) -
 
 
 def test_a_mirrored_export_is_turned_outwards(tmp_path: Path) -> None:
-    from huepose.scenes.shapes import demo_objects
+    from tests.meshes import demo_objects
 
     closed = next(iter(demo_objects(0).values()))
     welded, index = np.unique(np.round(closed.vertices, 7), axis=0, return_inverse=True)

@@ -16,8 +16,8 @@ from huepose.perception.memory import next_look
 from huepose.perception.view_detector import ViewDetector
 from huepose.perception.window_table import LIKE, window_table
 from huepose.perception.windows import SIZES, WindowsBySize
-from huepose.scenes.shapes import demo_objects
 from tests.conftest import TakePicture
+from tests.meshes import demo_objects
 from tests.perception.conftest import noisy
 
 

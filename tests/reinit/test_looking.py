@@ -12,12 +12,12 @@ from huepose.profiles import profile
 from huepose.reinit.looking import chosen
 from huepose.reinit.loop import ReinitLoop
 from huepose.reinit.types import ObjectSlot
-from huepose.scenes.shapes import demo_objects
 from huepose.tracking import Correction, Tracker
 from studies.live import HZ, NOWHERE, Sight, shown
 from studies.stress.films import Seen
 from studies.stress.play import followed
 from tests.conftest import TakePicture
+from tests.meshes import demo_objects
 from tests.onboarded import onboarded
 
 HERE, BESIDE, THERE, AWAY = (Box(x, 50, 60, 60) for x in (50, 60, 200, 400))

@@ -8,7 +8,7 @@ import numpy as np
 
 from huepose.scenes.official_sets import SetObject, write_bop_ycbv, write_fast_ycb_set
 from huepose.scenes.rendered import SceneRanges
-from huepose.scenes.shapes import demo_objects
+from tests.meshes import demo_objects
 
 APART_M = np.array([0.003, -0.002, 0.008])
 """Offset between the model frames of BOP and PoseCNN, times the id; the real offsets are of this size."""
@@ -30,7 +30,7 @@ HALF_TURN = {"symmetries_discrete": [[-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0
 
 def stand_in_objects(count: int) -> list[SetObject]:
     """The first `count` demo objects, with ids from 1."""
-    named = list(demo_objects().items())[:count]
+    named = list(demo_objects(0).items())[:count]
     return [SetObject(i, name, mesh, i * APART_M, HALF_TURN) for i, (name, mesh) in enumerate(named, 1)]
 
 

@@ -15,8 +15,8 @@ from huepose.scenes.frame import Stage, labels, shoot, silhouette
 from huepose.scenes.light import Light
 from huepose.scenes.plan import plan
 from huepose.scenes.room import sheet
-from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
+from tests.meshes import demo_objects
 
 SMALL, TINY = CAMERA.scaled(0.4), CAMERA.scaled(0.1)
 OBJECTS = demo_objects(0)

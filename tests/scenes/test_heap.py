@@ -3,7 +3,7 @@ import pytest
 
 from huepose.geometry import se3
 from huepose.scenes.heap import CELL_M, Heap, random_turn, resting_turns
-from huepose.scenes.shapes import demo_objects
+from tests.meshes import demo_objects
 
 OBJECTS = demo_objects(0)
 MIDDLE = np.zeros((1, 2))

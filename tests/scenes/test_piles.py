@@ -8,7 +8,7 @@ from huepose.rendering import render_depth
 from huepose.scenes.heap import open_box
 from huepose.scenes.rendered import PILES, rendered_frame
 from huepose.scenes.sensor import LOST_SHARE, lost_in_bad_light, shifted
-from huepose.scenes.shapes import demo_objects
+from tests.meshes import demo_objects
 
 MESHES = {name: mesh for name, mesh in demo_objects(3).items() if name in ("tea_box", "soup_can")}
 

@@ -12,8 +12,8 @@ from huepose.scenes.builtin import check_scene
 from huepose.scenes.camera import CAMERA
 from huepose.scenes.motion import FARTHEST_M, NEAREST_M
 from huepose.scenes.plan import plan
-from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
+from tests.meshes import demo_objects
 
 BOX = demo_objects(0)["tea_box"]
 

@@ -11,8 +11,8 @@ from huepose.geometry import Camera, se3
 from huepose.rendering import render, render_depth
 from huepose.scenes.frame import silhouette
 from huepose.scenes.rendered import SceneRanges, rendered_frame, write_rendered_set
-from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
+from tests.meshes import demo_objects
 
 MESHES = {name: mesh for name, mesh in demo_objects(3).items() if name in ("tea_box", "soup_can")}
 IDS = {"soup_can": 5, "tea_box": 2}

@@ -11,9 +11,10 @@ from huepose.rendering.render import is_closed
 from huepose.rendering.textures import covered_texels
 from huepose.scenes import official_sets
 from huepose.scenes.rendered import LARGEST_M
-from huepose.scenes.shapes import demo_objects, printed
+from huepose.scenes.shapes import printed
 from huepose.scenes.unseen.objects import SEGMENTS, UnseenObject, arc, loft, unseen_objects
 from huepose.scenes.unseen.prints import coat, scheme
+from tests.meshes import demo_objects
 
 COUNT = 24
 

@@ -14,8 +14,9 @@ from huepose.scenes.charts import blocks
 from huepose.scenes.frame import Stage, shoot
 from huepose.scenes.light import random_light
 from huepose.scenes.room import room
-from huepose.scenes.shapes import demo_objects, printed
+from huepose.scenes.shapes import printed
 from studies.stress.films import AWAY, Seen
+from tests.meshes import demo_objects
 
 CAMERA = Camera(500.0, 500.0, 199.5, 149.5, 400, 300).scaled(0.5)
 

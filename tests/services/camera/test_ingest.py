@@ -10,7 +10,6 @@ import pytest
 from huepose.datasets.bop import BopScene
 from huepose.scenes.builtin import SyntheticScene
 from huepose.scenes.camera import CAMERA
-from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
 from huepose_protos.examples import example
 from huepose_protos.messages import FrameHeader, PoseMessage
@@ -21,6 +20,7 @@ from huepose_services.runtime.config import BusConfig, Config, ObjectConfig
 from huepose_services.runtime.config_perception import CameraConfig
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
+from tests.meshes import demo_objects
 from tests.services.conftest import until
 from tests.services.fake_bus import FakeBus
 from tests.services.sessions import close_bus, open_bus

@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from huepose.geometry import Camera, se3
-from huepose.scenes.shapes import demo_objects
 from huepose_protos.buffers import pack
 from huepose_protos.examples import example, images
 from huepose_protos.messages import FrameHeader, HypothesesMessage, ObjectsMessage, PoseMessage
@@ -29,6 +28,7 @@ from huepose_services.viewer.shapes import (
     outlines,
     yuv,
 )
+from tests.meshes import demo_objects
 from tests.services.conftest import until
 from tests.services.fake_bus import FakeBus, listed
 
@@ -44,7 +44,7 @@ def _frame(intrinsics=SIZE, **fields):
 
 
 def _box():
-    return demo_objects()["tea_box"]
+    return demo_objects(0)["tea_box"]
 
 
 def test_an_outline_encloses_the_projected_mesh():
@@ -353,7 +353,7 @@ def test_a_mesh_that_comes_after_the_first_pose_or_replaces_another_is_drawn(sho
     show, pose = shown(bodies), example(PoseMessage)
     show.at(10**18, 1)
     show.pose(pose)
-    can = demo_objects()["soup_can"]
+    can = demo_objects(0)["soup_can"]
     for first, mesh in ((2, _box()), (4, can)):
         bodies[pose.object] = Body(mesh, 0.2)
         for frame in (first, first + 1):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from types import SimpleNamespace
 
@@ -16,7 +16,7 @@ from huepose.geometry import Box, Camera, Mesh, RgbdFrame, se3
 from huepose.geometry.arrays import Float64, UInt8
 from huepose.geometry.camera import depth_noise_m
 from huepose.onboarding.from_video import Learned, Selection, learn
-from huepose.onboarding.from_video.fusion import Fused, painted
+from huepose.onboarding.from_video.fusion import FEW_CELLS, Fused, fused, painted
 from huepose.onboarding.from_video.registration import Edge, relaxed
 from huepose.onboarding.from_video.selection import first_mask
 from huepose.onboarding.from_video.views import View, votes
@@ -24,8 +24,8 @@ from huepose.propose import flow
 from huepose.rendering import render
 from huepose.scenes.motion import UP_ROOM, upright
 from huepose.scenes.room import sheet, table_top
-from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
+from tests.meshes import demo_objects
 
 pytest.importorskip("open3d", reason="open3d is not installed")
 LEARN = import_module("huepose.onboarding.from_video.learn")  # the package exports a function of this name
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.timeout(400)  # the first test makes the mesh for all
 
 CAMERA = Camera(330.0, 330.0, 159.5, 119.5, 320, 240)
 MIDDLE_CAM = np.array([0.0, 0.0, 0.5])
-BOX = demo_objects()["tea_box"]
+BOX = demo_objects(0)["tea_box"]
 FRAMES, STEP_DEG = 18, 7.5
 
 
@@ -214,6 +214,14 @@ def test_a_too_thin_object_is_refused_with_how_to_record_it() -> None:
         learn([frame, frame], Selection(box.grown(0.08)))
 
 
+@pytest.fixture
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Surfaces of large triangles, without texture: for tests that look only at views and poses."""
+    monkeypatch.setattr(LEARN, "fused", partial(fused, cells=FEW_CELLS))
+    monkeypatch.setattr(LEARN, "painted", lambda *_: BOX)
+
+
+@pytest.mark.usefixtures("coarse")
 def test_a_view_that_shows_only_rims_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     view_at = LEARN.view_at
 
@@ -228,6 +236,7 @@ def test_a_view_that_shows_only_rims_is_not_kept(monkeypatch: pytest.MonkeyPatch
     assert (made.views, len(made.T_cam_obj)) == (2, 3)
 
 
+@pytest.mark.usefixtures("coarse")
 def test_poses_of_frames_move_with_their_views_when_a_loop_is_closed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -253,6 +262,7 @@ def test_poses_of_frames_move_with_their_views_when_a_loop_is_closed(
         np.testing.assert_allclose(made.T_cam_obj[number], view.T_cam_obj @ T_old_new, atol=1e-9)
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_view_whose_mask_becomes_empty_leaves_the_other_poses_as_they_are(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -25,8 +25,8 @@ def sized(diameter_m: float, cornered: bool = False) -> Mesh:
 
 
 def test_objects_of_usual_sizes_have_room_wherever_their_origins_are() -> None:
+    """Fewer of them have room where these do: they are placed one after the other."""
     three = {"small": sized(0.12), "middle": sized(0.2), "large": sized(0.26, cornered=True)}
-    check_scene(three)
     check_scene(three | {"fourth": sized(0.24, cornered=True), "fifth": sized(0.26)})
 
 

@@ -28,8 +28,10 @@ demo: setup
 
 # One thread for the libraries of each process: those of several would wait spinning for each other. One process more
 # than processors, since some tests wait. Live tests wait most of the time: those with a whole pipeline run one after the
-# other, and meanwhile so do the small ones.
+# other, and meanwhile so do the small ones. All find the reference models that the first ones make in one folder.
+test: export TEST_SHELF = $(CURDIR)/build/shelf
 test: setup
+	@rm -rf build/shelf
 	@OMP_NUM_THREADS=1 .venv/bin/pytest -n $$(($$(nproc) + 1)) --dist worksteal -m "not live"
 	@$(MAKE) --no-print-directory --jobs=2 test-pipelines test-small
 

@@ -30,8 +30,9 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.fixture(scope="session", autouse=True)
 def _shelf(tmp_path_factory: pytest.TempPathFactory) -> None:
-    own = tmp_path_factory.getbasetemp()
-    onboarded.shelf = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "shelf"
+    own, given = tmp_path_factory.getbasetemp(), os.environ.get("TEST_SHELF")
+    ours = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+    onboarded.shelf = Path(given) if given else ours / "shelf"
 
 
 @pytest.fixture(scope="session")

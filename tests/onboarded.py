@@ -16,7 +16,7 @@ from huepose.model.types import ReferenceModel
 from huepose.onboarding.onboard import onboard_mesh
 
 shelf: Path | None = None
-"""A folder that all processes of a test run share; None outside a run."""
+"""A folder that all processes of a test run share, and the three runs of `make test`; None outside a run."""
 
 
 def onboarded(mesh: Mesh, name: str, **how: Any) -> ReferenceModel:

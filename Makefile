@@ -3,7 +3,7 @@
 # Where containers set it, every process would compile its imports anew, for more than a second.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help packages setup demo test test-pipelines test-small lint docs bench dist bundle audit clean
+.PHONY: help packages setup demo test test-pipelines test-small collected lint docs bench dist bundle audit clean
 
 help:
 	@echo "make demo    the whole pipeline on a built-in scene, with accuracy and latency at the end"
@@ -40,6 +40,10 @@ test-pipelines:
 
 test-small:
 	@.venv/bin/pytest -m "live and not pipeline"
+
+# Compiles the test files for Python. Else each process of `make test` would, all at the same time.
+collected: packages
+	@said=$$(.venv/bin/pytest --collect-only) || { echo "$$said"; exit 1; }
 
 lint: packages
 	@.venv/bin/ruff check .

@@ -30,7 +30,7 @@ T = standing_pose(0.6, 0.0, 0.0)
 @pytest.fixture(scope="module")
 def brick() -> ReferenceModel:
     mesh = solids.box((0.06, 0.05, 0.09))
-    return onboarded(replace(mesh, texture=np.full_like(mesh.texture, RED)), "brick")
+    return onboarded(replace(mesh, texture=np.full_like(mesh.texture, RED)), "brick", searched=False)
 
 
 def in_lamplight(frame: RgbdFrame, mesh: Mesh, T_cam_obj: np.ndarray, ambient: float) -> RgbdFrame:

@@ -28,7 +28,9 @@ def brick_with_a_dark_side() -> ReferenceModel:
     side = np.full((64, 64, 3), RED, np.uint8)
     side[20:32, 16:48] = (200, 180, 30)
     return onboarded(
-        solids.box((0.06, 0.05, 0.09), {**dict.fromkeys(solids.SIDES, side), "+x": side // 3}), "brick"
+        solids.box((0.06, 0.05, 0.09), {**dict.fromkeys(solids.SIDES, side), "+x": side // 3}),
+        "brick",
+        searched=False,
     )
 
 

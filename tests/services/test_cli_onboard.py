@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -16,20 +17,19 @@ import pytest
 
 from huepose.evaluation import suitability
 from huepose.model import load_models
-from huepose.onboarding import batch, reference, simplify
-from huepose.propose.templates import build_templates
+from huepose.onboarding import batch, simplify
 from huepose_services.cli.main import main
 from huepose_services.cli.mesh_unit import with_unit
+from tests import onboarded
 from tests.onboarding import mesh_files as files
 from tests.onboarding import solids
 from tests.services.conftest import Says, heeds_ctrl_c
 
 
 @pytest.fixture
-def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Renders templates and keypoints from twelve sides only: they take most of an onboarding."""
-    monkeypatch.setattr("huepose.propose.keypoint_reference.LEVEL", 0)
-    monkeypatch.setattr(reference, "build_templates", partial(build_templates, level=0))
+def few_views() -> Iterator[None]:
+    with onboarded.few_views():
+        yield
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ import pytest
 from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Camera, RgbdFrame, se3
-from huepose.onboarding.onboard import onboard_mesh
 from huepose.support.errors import InputError
 from huepose.tracking import Applied, Correction, Tracker, TrackerConfig, evidence
+from tests.onboarded import onboarded
 from tests.tracking.conftest import correction, errors
 
 EPOCH = 1
@@ -47,7 +47,8 @@ def test_an_object_whose_origin_is_far_from_it_is_tracked(tea_box, shoot, path) 
     rotates."""
     away = np.array([25.0, 33.75, 0.0])
     vertices = (tea_box.mesh.vertices + away).astype(np.float32)
-    model, back = onboard_mesh(replace(tea_box.mesh, vertices=vertices), "far"), se3.make(np.eye(3), -away)
+    model = onboarded(replace(tea_box.mesh, vertices=vertices), "far", searched=False)
+    back = se3.make(np.eye(3), -away)
     tracker = Tracker({"far": model})
     for k in range(30):
         frame = shoot([(tea_box.mesh, path(k))], k)

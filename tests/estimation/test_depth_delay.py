@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -29,6 +30,12 @@ def straight(t: float) -> np.ndarray:
     return standing_pose(0.6, 0.25 * t - 0.2, 0.0)
 
 
+@lru_cache(maxsize=LOOKS)
+def pictured(model: ReferenceModel, take_picture: TakePicture, path: Path, t: float) -> RgbdFrame:
+    """The frame of an object on its path."""
+    return take_picture([(model.mesh, path(t))])
+
+
 def looks(
     model: ReferenceModel, take_picture: TakePicture, late_s: float, path: Path = about, right_px: int = 0
 ) -> tuple[list[EdgeLag], list[str]]:
@@ -36,7 +43,7 @@ def looks(
     found, blocks = [], []
     for k in range(LOOKS):
         t = k / HZ
-        frame = take_picture([(model.mesh, path(t))])
+        frame = pictured(model, take_picture, path, t)
         depth = frame.depth if late_s == 0.0 else take_picture([(model.mesh, path(t - late_s))]).depth
         velocity = se3.difference(path(t - 0.005), path(t + 0.005)) / 0.01
         seen = replace(frame, depth=np.roll(depth, right_px, axis=1))

@@ -58,13 +58,17 @@ def test_without_a_step_in_depth_there_is_no_answer(contours: Contours) -> None:
     assert moved_to_ends(contours, T, wall) is None
 
 
+@pytest.fixture(scope="module")
+def large(tea_box: ReferenceModel) -> Contours:
+    """The contours of a box of a metre."""
+    return Contours.of(times_as_large(tea_box, 1.0 / 0.15))
+
+
 @pytest.mark.parametrize("turn", [(1.1, 0.3, 0.8), (0.9, -0.5, 0.3), (1.2, 0.6, -0.4)])
 def test_a_right_pose_of_an_object_of_a_metre_stays_as_exactly(
-    tea_box: ReferenceModel, turn: tuple[float, float, float]
+    large: Contours, turn: tuple[float, float, float]
 ) -> None:
     """Its outline is known within millimetres, as that of a small one."""
-    model = times_as_large(tea_box, 1.0 / 0.15)
-    large = Contours.of(model)
     camera = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
     there = se3.make(se3.rotation_exp(np.array(turn)), np.array([0.05, -0.03, 2.2]))
     depth = render([(large.mesh, there)], camera).depth

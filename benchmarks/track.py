@@ -56,7 +56,7 @@ def main() -> None:
                 [name, every, block["auc_add"], block["auc_adds"], block["all_frames"]["auc_add"],
                  span(block["interval95"], 0), f"{block['seconds_p50'] * 1000:.1f}",
                  *block["sequences"].values()]
-            )  # fmt: skip  # else one a line
+            )  # fmt: skip
             write_json(arguments.json, record)
             print(rows[-1], flush=True)
     names = [scene.name for scene in scenes]

@@ -67,7 +67,7 @@ class LastPoseTracker:
                 se3.orthonormalised(poses[-1]), None, 1.0, None, 0,
             )
             for (name, instance), poses in self._poses.items()
-        ]  # fmt: skip  # else one a line
+        ]  # fmt: skip
 
 
 def shown(surface: Surface, T: Float64) -> Int32:

@@ -26,7 +26,7 @@ COLUMNS = {
     "evaluation": 0.22, "training": 0.85, "profiles": 0.68, "reinit": 0.36, "estimation": 0.36,
     "tracking": 0.68, "onboarding": 0.10, "perception": 0.60, "paper": 0.83, "scenes": 0.12,
     "datasets": 0.30, "model": 0.62, "colorpair": 0.76, "rendering": 0.40, "drawing": 0.10,
-}  # fmt: skip  # else one a line
+}  # fmt: skip
 """Horizontal position of each package, 0 to 1; the five stages are in the middle."""
 
 SCALE = 2

@@ -77,7 +77,7 @@ def answers_where_absent(estimator: Estimator, asked: Sequence[Question]) -> lis
             "object": object_number(q.model), "found": answer.found, "right": False,
             "quality": answer.quality, "state": answer.state, "terms": terms, "scene": q.scene.name,
             "image": q.image, "instance": q.number, "shown": q.shown, "box": list(q.box),
-        })  # fmt: skip  # else one a line
+        })  # fmt: skip
     return rows
 
 

@@ -116,7 +116,7 @@ class Windows:
         return KeptWindows(
             self.frame_pixels[some], self.depth_m[some], self.span_px[some],
             self._codes[some], self._look[some], self._until[some],
-        )  # fmt: skip  # else one a line
+        )  # fmt: skip
 
     @cached_property
     def middles(self) -> Float32:
@@ -146,7 +146,7 @@ class Windows:
         _fill(
             self.pixels[index], self.depth_m[index], self.span_px[index], view.clear, view.crop.depth,
             view.colors[1], NEAR * self.diameter_m, border, cells,
-        )  # fmt: skip  # else one a line
+        )  # fmt: skip
         return cells
 
 

@@ -140,7 +140,7 @@ def check_templates(
     _check(
         table.starts, table.covered, table.places, table.values, table.side, canvas, templates, corners,
         max(TOLERANCE * diameter_mm, MIN_TOLERANCE_MM), MAX_OFFSET * diameter_mm, scratch, scores, offsets,
-    )  # fmt: skip  # else one a line
+    )  # fmt: skip
     return scores, offsets
 
 

@@ -252,7 +252,7 @@ def _pnp_pose(matches: Matches, camera: Camera) -> ConsensusPoses:
     ok, rotation, t, agree = cv2.solvePnPRansac(
         matches.points, matches.pixels, camera.K, None, reprojectionError=REPROJECTION_PX,
         iterationsCount=TRIALS, flags=cv2.SOLVEPNP_AP3P,
-    )  # fmt: skip  # else one a line
+    )  # fmt: skip
     if not ok or agree is None or t[2, 0] <= 0:
         return ConsensusPoses.none()
     inliers = matches[agree.ravel()]

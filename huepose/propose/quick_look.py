@@ -139,7 +139,7 @@ def quick_look(table: TemplateTable, windows: Float32, places: int) -> tuple[Int
     _score_windows(
         table.begins, table.cells, table.numbers.reshape(-1), table.area, seen, area, count, places,
         relief_mm, sums, which, scores,
-    )  # fmt: skip  # else one a line
+    )  # fmt: skip
     return which, scores
 
 

@@ -247,7 +247,7 @@ def _refine(
             fit_light(
                 n, samples, color_weight, surface.colors[level], color, LIGHT_ROUNDS, residual, trust,
                 correlation, rms,
-            )  # fmt: skip  # else one a line
+            )  # fmt: skip
             for c in range(3):
                 # Where texture and image are not correlated, their difference says nothing.
                 share[c] = (

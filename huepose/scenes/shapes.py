@@ -31,7 +31,7 @@ def demo_objects(seed: int = 0) -> dict[str, Mesh]:
     hues = (rng.uniform() + np.array([0.0, 0.42, 0.2, 0.63, 0.83])) % 1.0
     colours = [textures.palette(float(hue), rng) for hue in hues]
     built = (("tea_box", tea_box), ("soup_can", soup_can), ("juice_bottle", juice_bottle),
-             ("corner_bracket", corner_bracket), ("parts_tray", parts_tray))  # fmt: skip  # else one a line
+             ("corner_bracket", corner_bracket), ("parts_tray", parts_tray))  # fmt: skip
     return {name: build(colour, rng) for (name, build), colour in zip(built, colours, strict=True)}
 
 

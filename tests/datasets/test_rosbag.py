@@ -71,7 +71,7 @@ class Ros:
         return self.types["sensor_msgs/msg/CameraInfo"](
             header=self.header(START_NS), height=camera.height, width=camera.width,
             distortion_model=model, binning_x=0, binning_y=0, roi=roi, **named,
-        )  # fmt: skip  # else one a line
+        )  # fmt: skip
 
     def write(self, path: Path, messages: Iterable[tuple[str, int, Any]]) -> Path:
         """Write a bag of (topic, recording time, message)."""

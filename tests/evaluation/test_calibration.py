@@ -56,7 +56,7 @@ def test_results_are_read_with_the_index_of_the_right_answer(tmp_path: Path) -> 
         "scene": "a", "image": 1, "found": True, "right": False, "quality": 0.6, "terms": asdict(PLAIN),
         "adds_m": 0.01, "diameter_m": 0.2,
         "alternatives": [{"probability": 0.3, "right": True}, {"probability": 0.1, "right": True}],
-    }  # fmt: skip  # else one a line
+    }  # fmt: skip
     path = tmp_path / "result.json"
     path.write_text(
         json.dumps({"rows": [row, {**row, "right": True}, {**row, "found": False}], "false": [row]})

@@ -39,7 +39,7 @@ def estimated(models, **options):
     evaluate_estimates(
         [SCENE], Targets(models), ScriptedEstimator(shifted), EstimateOptions(), **options,
         on_frame=lambda sample, rows: frames.append((sample, rows)),
-    )  # fmt: skip  # else one a line
+    )  # fmt: skip
     return frames
 
 
@@ -83,7 +83,7 @@ class Resting:
                         State.LOST if lost and c.object == "brick" else State.TRACKING,
                         None if lost and c.object == "brick" else c.T_cam_obj, None, 0.9, None, 1)
             for c in self.corrections
-        ]  # fmt: skip  # else one a line
+        ]  # fmt: skip
 
 
 def test_files_of_a_tracking_run(models, tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def test_files_of_a_tracking_run(models, tmp_path: Path) -> None:
     result = evaluate_tracking(
         [SCENE], Targets(models), lambda known: Resting(), lambda scene, seed: Sources(TruthSource()),
         TrackOptions(), on_frame=folder.frame,
-    )  # fmt: skip  # else one a line
+    )  # fmt: skip
     folder.tracks(result)
     names = sorted(p.name for p in tmp_path.rglob("*.png"))
     assert names == ["000001_000000_s0.png", "000001_000004_s0.png", "errors_000001.png"]
@@ -105,7 +105,7 @@ def test_each_seed_has_its_own_line(models, tmp_path: Path, monkeypatch: pytest.
     result = evaluate_tracking(
         [SCENE], Targets(models), lambda known: Resting(), lambda scene, seed: Sources(TruthSource()),
         TrackOptions(seeds=(0, 3)),
-    )  # fmt: skip  # else one a line
+    )  # fmt: skip
     PictureFolder(tmp_path, Targets(models)).tracks(result)
     assert list(drawn) == ["5/0, seed 0", "7/0, seed 0", "5/0, seed 3", "7/0, seed 3"]
     assert all((np.diff(frames) > 0).all() for frames, _ in drawn.values())

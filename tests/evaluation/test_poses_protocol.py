@@ -33,7 +33,7 @@ def message(i: int, T: np.ndarray | None, state: str = "TRACKING", **changes: ob
         "quaternion": None if T is None else se3.quaternion_from_rotation(T[:3, :3]).tolist(),
         "velocity_linear": None, "velocity_angular": None, "state": state, "quality": 0.9, "covariance": None,
         "applied_correction_seq": 0, "version": 1, **changes,
-    }  # fmt: skip  # else one a line
+    }  # fmt: skip
 
 
 def written(tmp_path: Path, *messages: dict) -> Path:

@@ -43,7 +43,7 @@ def test_results_of_all_kinds_are_shown_with_their_origin() -> None:
             "instances": 27, "recall_add": 100.0, "auc_add": 97.12, "boxes": "paper", "seed": 0, "ar": None,
             "interval95": {"recall_add": [97.0, 100.0]}, "per_object": {5: {"recall_add": 99.0}},
         },
-    }  # fmt: skip  # else one a line
+    }  # fmt: skip
     page = results_page(
         {
             "tables": {"origin": ORIGIN, "coverage": ["all is there"], "tables": [table.as_json()]},
@@ -55,7 +55,7 @@ def test_results_of_all_kinds_are_shown_with_their_origin() -> None:
     for line in (
         "- all is there", "### Table I", "| Average | 98.8 |", "- a note", "### boxes paper, seed 0",
         "| all | 27 | 100.0 | 97.1 |", "| 95 % of draws |  | 97.0 to 100.0 |  |", "| 5 | - | 99.0 | - |",
-    ):  # fmt: skip  # else one a line
+    ):  # fmt: skip
         assert line in page.splitlines()
 
 
@@ -64,7 +64,7 @@ def test_the_interval_of_tracks_is_below_its_figure() -> None:
     summary = {
         "instances": 40, "recall_add": 55.0, "interval95": {"recall_add": [70.0, 80.0]},
         "interval95_over": "half seconds", "frame_weighted": {"instances": 40, "recall_add": 75.0},
-    }  # fmt: skip  # else one a line
+    }  # fmt: skip
     lines = results_page({"track": {"origin": ORIGIN, "summary": summary}}).splitlines()
     at = lines.index("| mean over sequences | 40 | 55.0 |")
     assert lines[at + 1 : at + 3] == [

@@ -88,7 +88,7 @@ class IncrementTracker:
             TrackedPose(name, k, 0, frame.frame_id, frame.stamp_ns, State.TRACKING, poses[frame.frame_id],
                         None, 0.9, None, 1)
             for (name, k), poses in self.poses.items()
-        ]  # fmt: skip  # else one a line
+        ]  # fmt: skip
 
 
 @pytest.fixture
@@ -134,7 +134,7 @@ def test_roft_delivers_the_result_of_six_frames_ago_at_every_sixth_frame(run) ->
     # (newest frame before delivery, corrected frame): the correction is applied before the step of its frame.
     assert [(when, c.frame_id) for when, c in tracker.taken] == [
         (None, 0), (5, 0), (11, 6), (17, 12), (23, 18), (29, 24),
-    ]  # fmt: skip  # else one a line
+    ]  # fmt: skip
     assert [c.seq for _, c in tracker.taken] == [1, 2, 3, 4, 5, 6]
 
 
@@ -267,11 +267,11 @@ def test_the_result_file_has_the_documented_keys(run) -> None:
         "recall_add", "recall_adds", "auc_add", "auc_adds", "auc_voc_add", "frame_weighted", "sequences",
         "coverage_tracking", "lost_frames", "false_tracking_frames", "false_tracking_rate",
         "declared_lost_after_frames", "reacquired_after_s", "confirmed_after_s", "fps", "by_seed",
-    } <= record["summary"].keys()  # fmt: skip  # else one a line
+    } <= record["summary"].keys()  # fmt: skip
     assert {
         "sequence", "frame", "object", "gt_instance", "track", "T_cam_obj", "add_m", "adds_m", "visib_fract",
         "state", "quality", "seconds",
-    } <= record["rows"][0].keys()  # fmt: skip  # else one a line
+    } <= record["rows"][0].keys()  # fmt: skip
     assert len(record["rows"]) == 16
     assert record["summary"]["fps"] > 0
     assert record["summary"]["seed"] == [0, 1]
@@ -294,4 +294,4 @@ def test_two_sequences_with_the_same_name_are_refused(models) -> None:
         evaluate_tracking(
             [sequence(2), sequence(2)], Targets(models), lambda known: None, lambda s, seed: TRUTH,
             TrackOptions(),
-        )  # fmt: skip  # else one a line
+        )  # fmt: skip

@@ -72,7 +72,7 @@ def test_windows_are_kept_for_some_looks_where_nothing_changed() -> None:
     windows = KeptWindows(
         np.tile([80.0, 60.0], (count, 1)), np.ones(count), np.full(count, 40.0),
         np.zeros((count, 4), np.float32), np.zeros(count, np.int64), until(0, count),
-    )  # fmt: skip  # else one a line
+    )  # fmt: skip
     memory = replace(next_look(None, plain()), windows={7: windows})
     left = []
     for _ in range(MOST + 1):
@@ -137,7 +137,7 @@ def test_an_image_that_is_smaller_than_a_tile_is_processed_again() -> None:
     low = RgbdFrame(color, np.ones(color.shape[:2], np.float32), camera)
     crop = prepare_crop(low, Box(0.0, 0.0, 160.0, 7.0))
     view = ClearView(low, crop, ~crop.saturated, np.zeros((2, *color.shape), np.float32),
-                     np.zeros((0, 4)), low.depth, Pyramid(color))  # fmt: skip  # else one a line
+                     np.zeros((0, 4)), low.depth, Pyramid(color))  # fmt: skip
     memory = next_look(None, low)
     for _ in range(2):
         memory = next_look(replace(memory, features=features_of(memory, view, view.clear, Sift())), low)

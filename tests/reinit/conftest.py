@@ -35,7 +35,7 @@ def track(
     return TrackedPose(
         object_name, instance, epoch, frame, round(stamp_ms * MS), state, T, velocity, quality, covariance,
         applied
-    )  # fmt: skip  # else one a line
+    )  # fmt: skip
 
 
 def estimate(

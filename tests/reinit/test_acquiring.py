@@ -23,7 +23,7 @@ def test_a_sure_estimate_acquires_and_instances_get_new_numbers() -> None:
 
 @pytest.mark.parametrize(("quality", "present", "taken"), [
     (0.6, 0.95, True), (0.6, 0.85, False), (0.6, None, False), (0.1, 0.95, False),
-])  # fmt: skip  # else one a line
+])  # fmt: skip
 def test_one_estimate_is_enough_if_presence_is_certain(
     quality: float, present: float | None, taken: bool
 ) -> None:

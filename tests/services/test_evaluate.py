@@ -68,7 +68,7 @@ def scoring(bundles: Path, scene: Path, tmp_path: Path) -> list[str]:
         "publish_ns": 5_000_010, "state": "TRACKING", "quality": 0.9,
         "translation": (T_CAM_OBJ[:3, 3] + [0.01, 0, 0]).tolist(),
         "quaternion": se3.quaternion_from_rotation(T_CAM_OBJ[:3, :3]).tolist(),
-    }  # fmt: skip  # else one a line
+    }  # fmt: skip
     poses, result = tmp_path / "poses.jsonl", tmp_path / "result.json"
     poses.write_text(json.dumps(message) + "\n")
     command = ["eval", "poses", poses, "--bop", scene, "--bundles", bundles, "--json", result]

@@ -42,7 +42,7 @@ def test_a_set_that_became_worse_ends_with_1_and_is_named(folders, tmp_path: Pat
     assert (figure["change"], figure["losses"], figure["verdict"]) == (-20.0, 8, "worse")
     assert record["sets"][0]["lost"][0] == {
         "scene": "000001", "image": 0, "instance": 0, "object": 5, "seed": 0,
-    }  # fmt: skip  # else one a line
+    }  # fmt: skip
 
 
 def test_a_loss_within_its_interval_ends_with_0_and_is_reported(tmp_path: Path, printed: Says) -> None:

@@ -117,7 +117,7 @@ def test_every_shipped_fit_increases_with_every_feature() -> None:
         PLAIN, total=1.7, gaps=(0.2, 0.3), color=0.5, box_iou=0.9, depth_fit=0.8, coverage=0.8,
         violation=0.05, occluded=0.05, seen=0.8, missing=0.1, foreign=5.0, detail=0.6, pixels=4000.0,
         turned=0.05, otherwise=0.1, agreed=1.1,
-    )  # fmt: skip  # else one a line
+    )  # fmt: skip
     for name, fit in quality_fits().items():
         for part in ("presence", "this_texture", "this_size", "listed"):
             factors = getattr(fit, part).factors

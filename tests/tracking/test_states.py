@@ -34,7 +34,7 @@ GOOD = Terms(
     total=1.5, depth_fit=0.85, coverage=0.0, violation=0.0, color=0.7, occluded=0.0, seen=0.9, box_iou=0.0,
     through=0.0, hidden=0.0, blind=0.05, outside=0.0, contrast=30.0,
     light_l=-3.0, light_rg=1.0, light_yb=1.0, colored=0.85,
-)  # fmt: skip  # else one a line
+)  # fmt: skip
 CONFIG = TrackerConfig()
 
 

@@ -136,7 +136,7 @@ def bent(line: np.ndarray, radius: float) -> list[Chart]:
 def _soft(a: float, b: float, h: float, r: float) -> list[tuple[float, float, float]]:
     """A prism with rounded edges: half sides a, b, half height h, radius r."""
     return [(a - r, b - r, -h), (a - 0.3 * r, b - 0.3 * r, -h + 0.3 * r), (a, b, -h + r), (a, b, h - r),
-            (a - 0.3 * r, b - 0.3 * r, h - 0.3 * r), (a - r, b - r, h)]  # fmt: skip  # else one a line
+            (a - 0.3 * r, b - 0.3 * r, h - 0.3 * r), (a - r, b - r, h)]  # fmt: skip
 
 
 def _bowl(a: float, b: float, h: float, wall: float, foot: float) -> list[tuple[float, float, float]]:

@@ -93,7 +93,7 @@ def _as_json(view: View) -> str:
 _COLUMNS = {
     "worker": "<10", "state": "<9", "rate": ">6", "work ms": ">13", "age ms": ">13", "CPU": ">5", "MiB": ">5",
     "locked": ">6", "frames by": ">10", "drops": ">7", "errors": ">6", "restarts": ">8",
-}  # fmt: skip  # else one a line
+}  # fmt: skip
 """The columns, each with its format."""
 
 _HEAD = {name: name for name in _COLUMNS}

@@ -37,12 +37,12 @@ from huepose.tracking.types import Correction
 
 RATIOS = {
     "rocketlake": {"track": 2.8, "estimate": 5.0, "detect": 5.5},
-    "znver3": {"track": 3.4, "estimate": 4.2, "detect": 7.1},
+    "znver3": {"track": 3.1, "estimate": 4.2, "detect": 7.1},
 }
 """CPU time of ten steps with two objects, of one estimate, and of a search for two absent objects, in units
 of the fixed work; by processor (LLVM's names), since the ratios differ between processors."""
 
-CALLS = {"track": 19_430, "estimate": 7_800, "detect": 9_440}
+CALLS = {"track": 15_820, "estimate": 7_810, "detect": 9_260}
 """Function calls of each stage, Python 3.10 and 3.11; from 3.12 on comprehensions are no calls."""
 
 STAGES = ["track", "estimate", "detect"]

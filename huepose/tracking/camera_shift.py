@@ -28,7 +28,7 @@ def thumbnail(frame: RgbdFrame) -> Float32:
 
 def image_shift(before: Float32, now: Float32) -> Float64:
     """Shift (2,) from one thumbnail (h, w), or a part of it, to the next of the same camera, right and down,
-    as shares of the image's width; zero if the two have nothing in common."""
+    as shares of the image's width; zero if the two have nothing in common. OpenCV may fade both in place."""
     height, width = before.shape
     shift, alike = cv2.phaseCorrelate(before, now, _fading(width, height))
     return np.array(shift) / WIDTH_PX if alike > 0.0 else np.zeros(2)

@@ -125,7 +125,6 @@ class Odometry:
         self._T_room_parent: Float64 | None = None
         self._given_ns: int | None = None
         self._before: RgbdFrame | None = None
-        self._small: tuple[UInt8, Float32] | None = None
         self._fast_ns: int | None = None
         self._quarters_ns: int | None = None
         self._tracked: tuple[Keyframe, Seen] | None = None
@@ -158,7 +157,7 @@ class Odometry:
         if before is None or before.camera != frame.camera:
             self._rest()
             return
-        thumbnails = self._thumbnail(before), self._thumbnail(frame)
+        thumbnails = thumbnail(before), thumbnail(frame)
         shift = image_shift(*thumbnails)
         if np.hypot(*shift) > FAST or (self._quarters_due(now_ns) and quarters_shift(*thumbnails)):
             self._fast_ns = now_ns
@@ -166,12 +165,6 @@ class Odometry:
             self._rest()
         else:
             self._measure(before, frame, shift, objects())
-
-    def _thumbnail(self, frame: RgbdFrame) -> Float32:
-        """The thumbnail of a frame; that of the last one is kept."""
-        if self._small is None or self._small[0] is not frame.color:
-            self._small = frame.color, thumbnail(frame)
-        return self._small[1]
 
     def _quarters_due(self, now_ns: int) -> bool:
         """Whether quarters of the image are to be compared now: once in QUARTERS_S at most."""

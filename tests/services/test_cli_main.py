@@ -336,7 +336,7 @@ def test_validate_says_where_each_camera_is_reached(tmp_path: Path, printed: Say
     path.write_text("workers: [camera, gateway, viewer]\ncameras: [{name: left}, {name: right}]\n")
     said = [line.split() for line in printed(["validate", path]).splitlines() if "listens" in line]
     assert [line[1:3] for line in said] == [["gateway.listen", f"127.0.0.1:{p},"] for p in (7447, 7448)]
-    assert said[1][3:5] == ["viewer.web_port", "127.0.0.1:9091,"]
+    assert said[1][3:5] == ["viewer.web_port", "0.0.0.0:9091,"], "rerun serves its page at every address"
 
 
 @pytest.mark.parametrize("line", [["validate"], ["status", "--json", "--config"]], ids=["text", "json"])

@@ -42,7 +42,7 @@ RATIOS = {
 """CPU time of ten steps with two objects, of one estimate, and of a search for two absent objects, in units
 of the fixed work; by processor (LLVM's names), since the ratios differ between processors."""
 
-CALLS = {"track": 15_820, "estimate": 7_810, "detect": 9_260}
+CALLS = {"track": 15_600, "estimate": 7_810, "detect": 9_260}
 """Function calls of each stage, Python 3.10 and 3.11; from 3.12 on comprehensions are no calls."""
 
 STAGES = ["track", "estimate", "detect"]

@@ -37,7 +37,7 @@ from huepose.tracking.types import Correction
 
 RATIOS = {
     "rocketlake": {"track": 2.8, "estimate": 5.0, "detect": 5.5},
-    "znver3": {"track": 3.1, "estimate": 4.2, "detect": 7.1},
+    "znver3": {"track": 2.65, "estimate": 4.2, "detect": 7.1},
 }
 """CPU time of ten steps with two objects, of one estimate, and of a search for two absent objects, in units
 of the fixed work; by processor (LLVM's names), since the ratios differ between processors."""

@@ -156,16 +156,14 @@ def held(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> Float64:
 def _compared(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> tuple[Float64, Float64, Int32]:
     """Points and outward directions (K, 3) of the outline at a pose, camera axes, and the result at each
     point (K,): UNKNOWN, ENDED or CONTINUES."""
-    lines = contours.lines
-    view = contours.surface.view_of(T_cam_obj)
-    first, last = int(lines.starts[view]), int(lines.starts[view + 1])
-    p, o, results = np.empty((last - first, 3)), np.empty((last - first, 3)), np.zeros(last - first, np.int32)
+    points, out = contours.at(T_cam_obj)
+    p, o, results = np.empty(points.shape), np.empty(points.shape), np.zeros(len(points), np.int32)
     # Images from the bus are read-only. All images are passed as read-only, so the kernel is compiled only
     # once; so the pose is copied.
     color = frame.color.view()
     color.flags.writeable = False
     T = np.array(T_cam_obj, np.float64, order="C")
-    _compare(T, lines.points, lines.out, first, frame.camera.lens, frame.depth, color, p, o, results)
+    _compare(T, points, out, frame.camera.lens, frame.depth, color, p, o, results)
     return p, o, results
 
 
@@ -174,7 +172,6 @@ def _compare(
     T: Float64,
     points_obj: Float32,
     out_obj: Float32,
-    first: int,
     lens: Float64,
     depth: Float32,
     color: UInt8,
@@ -182,12 +179,12 @@ def _compare(
     out: Float64,
     results: Int32,
 ) -> None:
-    """Compare an outline at pose `T` with the frame. points_obj, out_obj (N, 3): of all outlines, object
-    axes; first: row of the first point of this one; lens: fx, fy, cx, cy. Filled in: points, out (K, 3),
-    camera axes, and results (K,), which are UNKNOWN at first."""
+    """Compare an outline at pose `T` with the frame. points_obj, out_obj (K, 3): the outline in object axes;
+    lens: fx, fy, cx, cy. Filled in: points, out (K, 3), camera axes, and results (K,), which are UNKNOWN at
+    first."""
     away_m = 0.0
     for k in range(len(points)):
-        p, o = points_obj[first + k], out_obj[first + k]
+        p, o = points_obj[k], out_obj[k]
         for r in range(3):
             points[k, r] = T[r, 0] * p[0] + T[r, 1] * p[1] + T[r, 2] * p[2] + T[r, 3]
             out[k, r] = T[r, 0] * o[0] + T[r, 1] * o[1] + T[r, 2] * o[2]

@@ -53,8 +53,9 @@ class Pursuit:
         self.correction = correction
         self.track = Track(subject, correction.object, correction.instance, config)
         if before is not None:
-            usual = before.remembered(correction.stamp_ns)
-            self.track.usual = Usual(usual.baseline, usual.sure_light)
+            believed = before.belief
+            usual = believed.usual.remembered(believed.gone_s(correction.stamp_ns))
+            self.track.belief.usual = Usual(usual.baseline, usual.sure_light)
         self.poses: list[tuple[int, Float64]] = []
         self._config, self._stride = config, config.catch_up_stride
         self._lost_behind = np.inf
@@ -69,7 +70,7 @@ class Pursuit:
     def supported(self) -> bool:
         """Whether the last frame supports the pose. An object that was occluded on the way was not followed:
         a pose found there afterwards, on the surface of the occluder, is of something else."""
-        return self.track.evidence >= self._config.lost_quality
+        return self.track.belief.evidence >= self._config.lost_quality
 
     def follow(self, kept: Sequence[RgbdFrame], tries: float = np.inf) -> float:
         """One step towards the newest of the stored frames (oldest first, none before the correction's).

@@ -44,5 +44,5 @@ def _claim(track: Track, bonus: float = 0.0) -> Claim:
     """The claim of a track with a pose. TRACKING gives a bonus: else two instances with the same pose would
     lose in turns."""
     assert track.T_cam_obj is not None
-    confirmed = TRACKING_BONUS if track.state is State.TRACKING else 0.0
+    confirmed = TRACKING_BONUS if track.belief.state is State.TRACKING else 0.0
     return Claim(track.subject.surface, track.T_cam_obj, track.terms.total + confirmed + bonus)

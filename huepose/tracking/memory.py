@@ -22,6 +22,7 @@ from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.terms import Terms
 from huepose.support.errors import InputError
+from huepose.tracking.belief import Belief
 from huepose.tracking.camera_place import CameraPlace
 from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.config import TrackerConfig
@@ -42,7 +43,18 @@ from huepose.tracking.usual import Usual
 _CLASSES: dict[str, type] = {
     one.__name__: one
     for one in (
-        *(Camera, CameraPlace, Correction, Entry, Facing, FrameHistory, Hypothesis, Identity, Keyframe),
+        *(
+            Belief,
+            Camera,
+            CameraPlace,
+            Correction,
+            Entry,
+            Facing,
+            FrameHistory,
+            Hypothesis,
+            Identity,
+            Keyframe,
+        ),
         *(Odometry, Orientation, Persistence, PoseHistory, Pursuit, Reach, Seen, Terms, Track, TrackState),
         *(TrackedPose, Tries, Usual, _Stretch),
     )
@@ -132,7 +144,7 @@ def checksum(tracker: Tracker) -> int:
     for track in tracks:
         for h in track.hypotheses:
             crc = zlib.crc32(np.append(h.T_cam_obj, h.log_odds).tobytes(), crc)
-        crc = zlib.crc32(np.array((track.evidence, track.quality)).tobytes(), crc)
+        crc = zlib.crc32(np.array((track.belief.evidence, track.belief.quality)).tobytes(), crc)
     return crc
 
 

@@ -111,7 +111,7 @@ class Tracker:
         """The one reason why an instance whose pose fits the frame is not `TRACKING`; None if there is
         none."""
         track = self._tracks.get((name, instance))
-        return None if track is None else track.doubt
+        return None if track is None or not track.hypotheses else track.belief.doubt
 
     @property
     def reach_s(self) -> float | None:
@@ -213,7 +213,7 @@ class Tracker:
         twins = [
             other.T_cam_obj
             for (name, _), other in self._tracks.items()
-            if name == key[0] and other.T_cam_obj is not None and other.state is State.TRACKING
+            if name == key[0] and other.T_cam_obj is not None and other.belief.state is State.TRACKING
         ]
         tried = track.look(frame, tries, twins)
         if held(self._tracks, key, track, frame):
@@ -286,7 +286,8 @@ class Tracker:
             return False
         if not track.history.unbroken_since(correction.stamp_ns):
             return False
-        if track.found_since(correction.stamp_ns) or track.can_have_turned_since(correction.stamp_ns):
+        belief, stamp_ns = track.belief, correction.stamp_ns
+        if belief.found_since(stamp_ns) or belief.can_have_turned_since(stamp_ns):
             return False
         surface, camera = track.subject.surface, frame.camera
         new = correction.T_cam_obj
@@ -354,7 +355,7 @@ class Tracker:
             return
         track.place(found, correction, frame)
         for loser in contested(self._tracks, frame):
-            self._tracks[loser].give_way()
+            self._tracks[loser].belief.give_way()
         for stamp_ns, T in pursuit.poses:
             track.history.put(stamp_ns, T)
 
@@ -388,10 +389,10 @@ def _published(track: Track, frame: RgbdFrame) -> TrackedPose:
         frame.epoch,
         frame.frame_id,
         frame.stamp_ns,
-        track.state,
+        track.belief.state,
         T,
         None if T is None else about_origin(track.subject.surface, T, track.velocity),
-        track.quality,
+        track.belief.quality,
         track.covariance,
         track.applied_seq,
     )

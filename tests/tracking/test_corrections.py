@@ -241,11 +241,11 @@ def test_an_answer_about_an_earlier_frame_does_not_change_the_usual_total(tea_bo
     for frame in frames:
         tracker.step(frame)
     track = tracker._tracks["tea_box", 0]
-    usual = track.usual.baseline
+    usual = track.belief.usual.baseline
     tracker.step(shoot([], 4))
     assert track.terms.total < 0.2
     tracker.correct(correction(frames[3], path(3), 2, Verdict.AGREE))
-    assert track.usual.baseline == usual
+    assert track.belief.usual.baseline == usual
 
 
 def test_the_usual_total_does_not_fall_while_half_of_the_object_is_occluded(
@@ -257,7 +257,7 @@ def test_the_usual_total_does_not_fall_while_half_of_the_object_is_occluded(
     for frame in frames:
         tracker.step(frame)
     track = tracker._tracks["tea_box", 0]
-    usual = track.usual.baseline
+    usual = track.belief.usual.baseline
     assert usual is not None
     before = se3.make(np.eye(3), path(4)[:3, 3] * 0.75 + (0.035, 0.0, 0.0))
     for number in range(4, 14):
@@ -267,8 +267,8 @@ def test_the_usual_total_does_not_fall_while_half_of_the_object_is_occluded(
     assert 0.3 < track.terms.hidden < 0.6
     assert track.terms.total < usual - 0.02
     tracker.correct(correction(frame, path(4), 2, Verdict.AGREE))
-    assert track.usual.baseline is not None
-    assert track.usual.baseline >= usual
+    assert track.belief.usual.baseline is not None
+    assert track.belief.usual.baseline >= usual
 
 
 _SHEARED = np.eye(4) + 0.2 * np.eye(4, k=1)

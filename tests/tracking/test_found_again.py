@@ -42,8 +42,8 @@ def test_the_usual_total_is_that_in_the_light_of_the_scene(plain_box, shoot) -> 
             tracker.correct(Correction.first("plain_box", _at(0.0), frame, 1.0))
         tracker.step(frame)
         track = tracker._tracks["plain_box", 0]
-        assert track.usual.baseline is not None
-        baselines.append(track.usual.baseline)
+        assert track.belief.usual.baseline is not None
+        baselines.append(track.belief.usual.baseline)
     assert baselines == pytest.approx([track.terms.total] * 3, abs=0.1)
 
 
@@ -120,7 +120,7 @@ def test_an_object_of_another_color_found_after_a_loss_is_doubted(plain_bracket,
     assert states[:5] == [State.TRACKING] * 5
     assert states[12] is State.LOST
     assert (State.TRACKING in states[13:]) is not other
-    light = tracker._tracks["plain_bracket", 0].usual.sure_light
+    light = tracker._tracks["plain_bracket", 0].belief.usual.sure_light
     assert light is not None
     assert float(np.abs(light).max()) < 8.0, "the light is from when the track was sure"
 
@@ -135,7 +135,7 @@ def test_identity_is_uncertain_after_a_search_finds_the_object_nearby(tea_box, s
     for number in range(9):
         scene = [(tea_box.mesh, here)] if number < 4 else [] if number < 6 else [(tea_box.mesh, aside)]
         (pose,) = tracker.step(shoot(scene, number))
-        identities.append(tracker._tracks["tea_box", 0]._identity)
+        identities.append(tracker._tracks["tea_box", 0].belief.identity)
     assert pose.state is State.TRACKING
     assert pose.T_cam_obj is not None
     assert pose.T_cam_obj[:3, 3] == pytest.approx(aside[:3, 3], abs=0.004)

@@ -13,6 +13,7 @@ from huepose.geometry.se3 import carrying
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.terms import NOTHING
 from huepose.tracking import Correction, Tracker, TrackerConfig
+from huepose.tracking.belief import Belief
 from huepose.tracking.evidence import MOST_LOOSE, ONE_SENSE, limited_by_covariance
 from huepose.tracking.hypothesis import Hypothesis, distinct, same_pose, share_of_first
 from huepose.tracking.motion import jump_odds
@@ -167,14 +168,14 @@ def test_an_equivalent_rotation_is_no_other_pose(tea_box) -> None:
 
 
 def test_an_object_that_looks_the_same_from_all_sides_shows_no_new_view(tea_box, started) -> None:
-    track = started._tracks["tea_box", 0]
-    first, seen = track.hypotheses[0], track._view()
+    first = started._tracks["tea_box", 0].hypotheses[0]
     round_ = replace(tea_box, equivalents=np.stack([turned(5 * k) for k in range(72)]))
-    for subject, same in ((track.subject, False), (Subject.of(round_), True)):
-        track.subject, track.hypotheses = subject, (first,)
-        track._identity = replace(track._identity, view=seen)
-        track.hypotheses = (replace(first, T_cam_obj=first.T_cam_obj @ turned(60)),)
-        assert (track._view() @ seen > np.cos(np.radians(5))) == same
+    for model, same in ((tea_box, False), (round_, True)):
+        belief = Belief(Subject.of(model), TrackerConfig())
+        seen = belief._view(first)
+        belief.identity = replace(belief.identity, view=seen)
+        again = belief._view(replace(first, T_cam_obj=first.T_cam_obj @ turned(60)))
+        assert (again @ seen > np.cos(np.radians(5))) == same
 
 
 @pytest.mark.parametrize("right", [True, False])
@@ -218,7 +219,8 @@ def test_if_perception_and_tracker_disagree_neither_is_believed(
     """If perception is sure of another pose that fits the image too, though less, neither is believed."""
     track = started._tracks["tea_box", 0]
     other = Track(track.subject, "tea_box", 0, TrackerConfig())
-    other.hypotheses, other.evidence = (hypothesis_at(track.T_cam_obj @ turned(apart_deg), 2.0),), fits
+    other.hypotheses = (hypothesis_at(track.T_cam_obj @ turned(apart_deg), 2.0),)
+    other.belief.evidence = fits
     track.contradict(other, 0.98)
     frames = film(8)[6:]
     assert started.step(frames[0])[0].state is state

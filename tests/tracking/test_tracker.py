@@ -139,7 +139,7 @@ def test_a_barely_visible_object_is_tracked_equally_long_at_any_frame_rate(
         if k == 0:
             tracker.correct(correction(frame, path(0)))
         tracker.step(frame)
-        sure.append(tracker._tracks["tea_box", 0].evidence)
+        sure.append(tracker._tracks["tea_box", 0].belief.evidence)
     given_up = next(k for k, one in enumerate(sure) if one < TrackerConfig().lost_quality)
     assert 0.25 < given_up / per_frame / 30 < 0.34
 

@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from huepose.support.errors import InputError
-from huepose_services.cli.options import say
+from huepose_services.cli.options import LOOK_EVERY_S, SAY_WAITING_AFTER_S, say
 from huepose_services.pem import Credentials
 
 if TYPE_CHECKING:
     from huepose_protos.messages import Message
-
-_SAY_AFTER_S, _LOOK_EVERY_S = 3.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -38,19 +36,19 @@ class Gateway:
             while not stopping():
                 now = time.monotonic()
                 if now >= look:
-                    look, before, connected = now + _LOOK_EVERY_S, connected, reader.connected
+                    look, before, connected = now + LOOK_EVERY_S, connected, reader.connected
                     if connected and not before:
                         reader.ask()
                     if connected != before:
                         since = now
                     if before and not connected:
                         say(f"the gateway at {self.endpoint} is gone; waiting for it")
-                message = reader.next(_LOOK_EVERY_S)
+                message = reader.next(LOOK_EVERY_S)
                 if message is not None:
                     if not (more and isinstance(message, ObjectsMessage)):
                         since = float("inf")  # until the link is lost
                     yield message
-                elif now - since > _SAY_AFTER_S:
+                elif now - since > SAY_WAITING_AFTER_S:
                     since = float("inf")
                     say(self._silence(connected, tail))
 

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 N = TypeVar("N", int, float)
 
-_SAY_WAITING_AFTER_S, _LOOK_EVERY_S = 3.0, 0.1
+SAY_WAITING_AFTER_S, LOOK_EVERY_S = 3.0, 0.1
+"""A command that waits says so after that long, and looks that often whether it still has to."""
 
 
 def _file_or_output(name: str) -> Path | bool:
@@ -261,7 +262,7 @@ def wait_for_pipeline(
     pipeline = chosen(arguments, tell=False)
     if pipeline.noted:
         return False
-    say_at = time.monotonic() + _SAY_WAITING_AFTER_S
+    say_at = time.monotonic() + SAY_WAITING_AFTER_S
     with Reader(pipeline.endpoints, pipeline.key("live/*")) as reader:
         while not (stopping() or reader.seen or time.monotonic() > until_s):
             if chosen(arguments, tell=False).noted:
@@ -269,13 +270,14 @@ def wait_for_pipeline(
             if time.monotonic() > say_at:
                 say_at = float("inf")
                 say(f"waiting for a pipeline: {pipeline.absence}")
-            time.sleep(_LOOK_EVERY_S)
+            time.sleep(LOOK_EVERY_S)
     return True
 
 
-def chosen_config(arguments: argparse.Namespace, names_suffice: bool = False) -> Config:
-    """The configuration of the chosen pipeline; only names and ports if its file is not known.
-    names_suffice: also if the pipeline runs, but its file has become invalid. Raises InputError."""
+def chosen_config(arguments: argparse.Namespace) -> tuple[Config, bool]:
+    """The configuration of the chosen pipeline, and whether its file is valid. Only names and ports if the
+    file is not known, or if it has become invalid while the pipeline runs; then all workers may be in it.
+    Raises InputError."""
     from msgspec.structs import replace
 
     from huepose_protos.local import FOLDER
@@ -292,10 +294,10 @@ def chosen_config(arguments: argparse.Namespace, names_suffice: bool = False) ->
         bus=BusConfig(base_port=pipeline.base_port, frame_pool_mib=pipeline.frame_pool_mib),
     )
     if not pipeline.file or pipeline.recorded:
-        return named
+        return named, True
     try:
-        return load(Path(pipeline.file), pipeline.camera)
+        return load(Path(pipeline.file), pipeline.camera), True
     except InputError:
-        if names_suffice and pipeline.noted:
-            return replace(named, workers=WORKERS)
+        if pipeline.noted:
+            return replace(named, workers=WORKERS), False
         raise

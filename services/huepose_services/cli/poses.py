@@ -13,6 +13,8 @@ from huepose.support.errors import InputError
 from huepose.support.words import counted, did_you_mean
 from huepose_services.cli.gateway_source import Gateway, gateway_of
 from huepose_services.cli.options import (
+    LOOK_EVERY_S,
+    SAY_WAITING_AFTER_S,
     add_choice,
     add_path,
     catch_stop_signals,
@@ -43,7 +45,6 @@ _HEADING = (
 _NUMBER = re.compile(r"(?<![\w/.])[0-9]+([.][0-9]+)?(?!\w)")
 """A number that stands alone: not a part of a name, nor the number of an instance."""
 _GONE_AFTER_S = 1.0
-_SAY_WAITING_AFTER_S, _LOOK_EVERY_S = 3.0, 0.1
 
 
 def add_parser(subparsers: Any) -> None:
@@ -206,17 +207,17 @@ def _poses_on_robot(
         raise InputError("--robot", found=f"{arguments.key} beside it", expected="poses, a line each")
     endpoints = _endpoints_of_mounted(arguments) if gateway is None else [gateway.endpoint]
     files = {} if gateway is None or gateway.credentials is None else gateway.credentials._asdict()
-    say_at, said = time.monotonic() + _SAY_WAITING_AFTER_S, ""
+    say_at, said = time.monotonic() + SAY_WAITING_AFTER_S, ""
     with PoseClient(endpoints, **files) as client:
         while not stopping():
-            pose = client.next(_LOOK_EVERY_S)
+            pose = client.next(LOOK_EVERY_S)
             there = None if pose is None else client.on_robot(pose)
             if there is not None:
-                say_at, said = time.monotonic() + _SAY_WAITING_AFTER_S, ""
+                say_at, said = time.monotonic() + SAY_WAITING_AFTER_S, ""
                 yield there
             elif time.monotonic() > say_at:
-                say_at = time.monotonic() + _SAY_WAITING_AFTER_S
-                unplaced = client.latest(max_age_s=_SAY_WAITING_AFTER_S) is not None
+                say_at = time.monotonic() + SAY_WAITING_AFTER_S
+                unplaced = client.latest(max_age_s=SAY_WAITING_AFTER_S) is not None
                 before, said = said, _NO_CAMERA_POSE if unplaced else client.why_silent()
                 if said != before:
                     say(said)
@@ -253,7 +254,7 @@ def _messages_here(
     key, health = pipeline.key(arguments.key), pipeline.key("health/**")
     asks_for_health = zenoh.KeyExpr(key).intersects(zenoh.KeyExpr(health))
     beside = [*([] if asks_for_health else [health]), *map(pipeline.key, check.keys)]
-    say_at, heard = time.monotonic() + _SAY_WAITING_AFTER_S, False
+    say_at, heard = time.monotonic() + SAY_WAITING_AFTER_S, False
     with Reader(pipeline.endpoints, key, *beside) as reader:
         while not stopping() and not _is_over(reader):
             message = reader.next(0.1)
@@ -262,11 +263,11 @@ def _messages_here(
                 message = message if asks_for_health else None
             if message is not None and not check.consumes(message):
                 # Poses come with every frame, messages of other keys perhaps seldom.
-                say_at = time.monotonic() + _SAY_WAITING_AFTER_S if "/pose/" in key else float("inf")
+                say_at = time.monotonic() + SAY_WAITING_AFTER_S if "/pose/" in key else float("inf")
                 said, heard = "", True
                 yield message
             elif time.monotonic() > say_at:
-                say_at = time.monotonic() + _SAY_WAITING_AFTER_S
+                say_at = time.monotonic() + SAY_WAITING_AFTER_S
                 before, said = said, _silence(reader, pipeline, key, heard)
                 if said != before:
                     say(said)
@@ -303,7 +304,7 @@ def _silence(reader: Reader, pipeline: Pipeline, key: str, heard: bool = False) 
         if away:
             return f"the pipeline runs without {', '.join(away)}: starting, or ended; its log says which"
         what = "no object has been found yet" if key.endswith(_POSES) else what
-        what = f"no pose has come for {_SAY_WAITING_AFTER_S:.0f} s" if heard else what
+        what = f"no pose has come for {SAY_WAITING_AFTER_S:.0f} s" if heard else what
     elif key.endswith("/truth"):
         what = f"nothing is published on {key}: it needs `camera.truth: true`, and a source with ground truth"
     return f"the pipeline runs, but {what}; `huepose status` shows its state"

@@ -76,7 +76,7 @@ def call(arguments: argparse.Namespace) -> int:
         say(f"{arguments.out} does not end in {SUFFIX}: the recording is written to {parts.path}")
     try:
         wait_for_pipeline(arguments, stopping)
-        config = chosen_config(arguments, names_suffice=True)
+        config, _ = chosen_config(arguments)
     except InputError:  # by now several pipelines run
         parts.close()
         parts.path.unlink()

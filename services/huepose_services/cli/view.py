@@ -57,7 +57,7 @@ def call(arguments: argparse.Namespace) -> int:
     """Show until a signal or the time limit ends it."""
     _check_file(arguments.save)
     single_threaded()
-    config = chosen_config(arguments, names_suffice=True)
+    config, valid = chosen_config(arguments)
     recording = _open(arguments, config)
     stopping = catch_stop_signals()
 
@@ -66,8 +66,8 @@ def call(arguments: argparse.Namespace) -> int:
         threading.Thread(target=_end, args=(stopping,), daemon=True).start()
     end = time.monotonic() + seconds
     if wait_for_pipeline(arguments, stopping, end):
-        config = chosen_config(arguments, names_suffice=True)
-    pictures, failed = _run(config, recording, end, stopping, arguments)
+        config, valid = chosen_config(arguments)
+    pictures, failed = _run(config, valid, recording, end, stopping, arguments)
     recording.disconnect()
     if failed:
         say(f"huepose view: {arguments.save}: {failed}; what was written is kept")
@@ -125,7 +125,12 @@ def _open(arguments: argparse.Namespace, config: Config) -> Any:
 
 
 def _run(
-    config: Config, recording: Any, end: float, stopping: Callable[[], bool], arguments: argparse.Namespace
+    config: Config,
+    valid: bool,
+    recording: Any,
+    end: float,
+    stopping: Callable[[], bool],
+    arguments: argparse.Namespace,
 ) -> tuple[int, str]:
     """Show until a signal, the end time or a full disk; returns the number of images and an error, or ""."""
     from huepose_services.runtime.bus import Bus
@@ -138,7 +143,7 @@ def _run(
 
     session = open_reader_session([config.endpoint(worker) for worker in config.workers])
     bus = Bus(session, config.keys, "view")
-    bodies, follower = _drawn(bus, config, arguments)
+    bodies, follower = _drawn(bus, config, valid, arguments)
     warm_up()
     work = ViewerWork(
         bus,
@@ -163,21 +168,22 @@ def _run(
     return bus.health.counters.get("images", 0), failed or sinks.flushed(recording)
 
 
-def _drawn(bus: Bus, config: Config, arguments: argparse.Namespace) -> tuple[dict[str, Body], Follower[Body]]:
+def _drawn(
+    bus: Bus, config: Config, valid: bool, arguments: argparse.Namespace
+) -> tuple[dict[str, Body], Follower[Body]]:
     """What is drawn: all objects of a pipeline whose file is known; of another one, or of a recording that
-    is played, the objects in its list; none if the file has become invalid, which names their folder."""
+    is played, the objects in its list; none if the file, which names their folder, is not valid any more."""
     from huepose_services import models
     from huepose_services.following import Follower
     from huepose_services.recording import its_models
-    from huepose_services.runtime.config import WORKERS
     from huepose_services.viewer.shapes import Body
 
-    pipeline, invalid = chosen(arguments, tell=False), config.workers == WORKERS
-    known = models.load(config) if pipeline.file and not (pipeline.recorded or invalid) else {}
+    pipeline = chosen(arguments, tell=False)
+    known = models.load(config) if valid and pipeline.file and not pipeline.recorded else {}
     bodies = {name: Body.of(model, arguments.pairs) for name, model in known.items()}
 
     def load(name: str) -> Body:
-        if invalid:
+        if not valid:
             raise InputError(
                 f"the model of {name}, which is not drawn",
                 found=f"an error in {pipeline.file}, which names its folder",

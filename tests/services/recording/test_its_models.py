@@ -69,7 +69,7 @@ def test_objects_that_a_played_recording_searches_for_are_drawn(followed, tmp_pa
     arguments = argparse.Namespace(config=None, pipeline=None, pairs=False)
     with noted(Pipeline(base_port=29347, site="lab", camera="cam0", file=str(followed.path))):
         bus = FakeBus("view")
-        drawn, follower = _drawn(bus, Config(), arguments)
+        drawn, follower = _drawn(bus, Config(), True, arguments)
         assert list(drawn) == []
         bus.arriving[ObjectsMessage].append(listed(NAME, "my_box"))
         (said,) = until(lambda: follower.keep_up(drawn) or (drawn.get(NAME) and bus.logged["load"]))

@@ -288,7 +288,7 @@ def test_what_was_recorded_is_never_deleted(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("huepose_services.runtime.session.open_recorder_session", lambda config: MagicMock())
     monkeypatch.setattr("huepose_services.runtime.worker.come_first", lambda name: None)
     monkeypatch.setattr("huepose_services.cli.record.catch_stop_signals", lambda: lambda: False)
-    monkeypatch.setattr("huepose_services.cli.record.chosen_config", lambda *_, **__: Config())
+    monkeypatch.setattr("huepose_services.cli.record.chosen_config", lambda _: (Config(), True))
     monkeypatch.setattr("huepose_services.cli.record.wait_for_pipeline", lambda *_: False)
     assert main(["record", str(tmp_path / "out"), "--free", "0"]) == 1
     assert "File exists; what was written is kept" in capsys.readouterr().err

@@ -430,18 +430,18 @@ def test_an_object_that_is_added_later_is_drawn_with_its_colour_pairs(tea_box, t
 
     from huepose.model.io import model_path, save_model
     from huepose_services.cli.view import _drawn
-    from huepose_services.runtime.config import Config, ObjectConfig
+    from huepose_services.runtime.config import WORKERS, Config, ObjectConfig
     from huepose_services.runtime.running import Pipeline, noted
 
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.chdir(tmp_path)
     for name in ("can", "tea_box"):
         save_model(replace(tea_box, name=name), model_path(tmp_path / "bundles", name))
-    config = Config(bundles=str(tmp_path / "bundles"), objects=[ObjectConfig(name="can")])
+    config = Config(bundles=str(tmp_path / "bundles"), objects=[ObjectConfig(name="can")], workers=WORKERS)
     arguments = Namespace(config=None, pipeline=None, pairs=True)
     bus = FakeBus("view")
     with noted(Pipeline(base_port=29347, file=str(tmp_path / "pipeline.yaml"), workers=("camera",))):
-        drawn, follower = _drawn(bus, config, arguments)
+        drawn, follower = _drawn(bus, config, True, arguments)
     assert list(drawn) == ["can"]
     bus.arriving[ObjectsMessage].append(listed("can", "tea_box"))
     body = until(lambda: follower.keep_up(drawn) or drawn.get("tea_box"))
@@ -463,12 +463,12 @@ def test_a_running_pipeline_is_shown_without_models_if_its_file_is_wrong_now(tmp
     shown, bus = [], FakeBus("view")
     for name in ("single_threaded", "catch_stop_signals"):
         monkeypatch.setattr(view, name, lambda: None)
-    monkeypatch.setattr(view, "_run", lambda config, *more: (shown.append(config) or 0, ""))
+    monkeypatch.setattr(view, "_run", lambda config, valid, *more: (shown.append((config, valid)) or 0, ""))
     running = Pipeline(base_port=29347, site="lab", camera="cam0", file=str(path), workers=("camera",))
     with noted(running):
         assert view.call(arguments) == 1, "no image came"
-        drawn, follower = view._drawn(bus, shown[0], arguments)
-        assert (shown[0].keys.site, drawn) == ("lab", {})
+        drawn, follower = view._drawn(bus, *shown[0], arguments)
+        assert (shown[0][0].keys.site, drawn) == ("lab", {})
         bus.arriving[ObjectsMessage].append(listed("tea_box"))
         (said,) = until(lambda: follower.keep_up(drawn) or bus.logged["load"])
     assert said.startswith("the model of tea_box, which is not drawn: found an error in")

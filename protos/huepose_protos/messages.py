@@ -30,6 +30,7 @@ from huepose_protos.fields import (
     check_pose,
 )
 from huepose_protos.parts import KIB, check_masks
+from huepose_protos.parts import MOST_OBJECTS as MOST_OBJECTS
 from huepose_protos.parts import BufferSpec as BufferSpec
 from huepose_protos.parts import Clock as Clock
 from huepose_protos.parts import ControlReply as ControlReply

@@ -195,10 +195,14 @@ class StageMark(Struct, frozen=True, kw_only=True):
     checksum: Annotated[int, Meta(ge=0, lt=2**32)]
 
 
+MOST_OBJECTS = 256
+"""Most objects that a pipeline searches for."""
+
+
 class ObjectsMessage(Message, frozen=True, kw_only=True):
     """The objects that the pipeline searches for, once a second and when the list changes."""
 
-    objects: Annotated[list[ObjectEntry], Meta(max_length=256)]
+    objects: Annotated[list[ObjectEntry], Meta(max_length=MOST_OBJECTS)]
 
 
 class ControlRequest(Message, frozen=True, kw_only=True):
@@ -223,7 +227,7 @@ class ControlReply(Message, frozen=True, kw_only=True):
 
     done: bool
     text: Text
-    objects: Annotated[list[ObjectEntry], Meta(max_length=256)]
+    objects: Annotated[list[ObjectEntry], Meta(max_length=MOST_OBJECTS)]
 
 
 class HeldHypothesis(Struct, frozen=True, kw_only=True):

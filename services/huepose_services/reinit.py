@@ -17,6 +17,7 @@ from huepose.support.errors import InputError
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 from huepose_protos import WireError
 from huepose_protos.messages import (
+    MOST_OBJECTS,
     CameraMessage,
     CorrectionMessage,
     Estimates,
@@ -35,7 +36,7 @@ from huepose_services.runtime.config import Config, ObjectConfig
 from huepose_services.runtime.config_parts import PERCEPTION
 from huepose_services.runtime.one_camera import OneCamera
 from huepose_services.runtime.work import Work
-from huepose_services.steering import MOST_OBJECTS, ObjectList, answer_control
+from huepose_services.steering import ObjectList, answer_control
 
 _TICK_NS = SECOND // 30
 # Health warns when perception answers later than this.

@@ -18,12 +18,10 @@ from huepose.reinit.types import ObjectSlot
 from huepose.support.errors import InputError
 from huepose.support.words import counted
 from huepose_protos import WireError, decode, encode
-from huepose_protos.messages import ControlReply, ControlRequest, ObjectEntry
+from huepose_protos.messages import MOST_OBJECTS, ControlReply, ControlRequest, ObjectEntry
 from huepose_services.runtime.bus import Bus, bytes_of
 from huepose_services.runtime.clock import now_ns
 
-MOST_OBJECTS = 256
-"""The largest length of the list on the wire (ObjectsMessage)."""
 _FULL = f"{MOST_OBJECTS} objects are searched for, which is the most: remove one first"
 # Followers only check whether the number of resets has changed, so it may wrap around.
 _RESETS = 2**31

@@ -11,6 +11,7 @@ from huepose.reinit.types import ObjectSlot
 from huepose.support.errors import InputError
 from huepose_protos.examples import example
 from huepose_protos.messages import (
+    MOST_OBJECTS,
     ControlRequest,
     DetectedObject,
     FrameHeader,
@@ -141,12 +142,12 @@ def test_of_two_objects_that_are_added_at_the_same_time_only_one_takes_the_last_
         return load(name, count)
 
     inner = []
-    objects = ObjectList([entry(f"mug{n}") for n in range(steering.MOST_OBJECTS - 1)], loads)
+    objects = ObjectList([entry(f"mug{n}") for n in range(MOST_OBJECTS - 1)], loads)
     done, text = objects.decide(order("add", "jar"))
     assert inner == [(True, "lid is searched for, up to 1 instance")]
     assert not done
-    assert text == f"{steering.MOST_OBJECTS} objects are searched for, which is the most: remove one first"
-    assert len(objects.entries()) == steering.MOST_OBJECTS
+    assert text == f"{MOST_OBJECTS} objects are searched for, which is the most: remove one first"
+    assert len(objects.entries()) == MOST_OBJECTS
 
 
 @pytest.mark.parametrize(("second", "done"), [(1, False), (2, True)])

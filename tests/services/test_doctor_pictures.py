@@ -182,6 +182,17 @@ def test_timestamps_of_wall_time_are_reported(tmp_path, capsys, monkeypatch, pyt
     assert "Give the time.monotonic_ns()" in said["found"]
 
 
+def test_timestamps_that_are_too_old_for_any_pose_are_reported(tmp_path, capsys, monkeypatch, python_camera):
+    monkeypatch.setattr(pictures, "LOOK_S", 1.5)
+    python_camera("stamp_ns = time.monotonic_ns() - 10**9", every_s=0.2)
+    camera = {"source": "python", "path": "cam.py", "rate": 4}
+    (tmp_path / "pipeline.yaml").write_text(json.dumps({"camera": camera, "workers": ["camera"]}))
+    assert main(["doctor", str(tmp_path / "pipeline.yaml"), "--camera", "--json"]) == 1
+    (said,) = [f for f in json.loads(capsys.readouterr().out) if "timestamps" in f["found"]]
+    assert said["state"] == "bad"
+    assert "no pose older than tracker.max_age_ms (300) is TRACKING" in said["found"]
+
+
 def _checked(tmp_path, capsys, camera):
     (tmp_path / "pipeline.yaml").write_text(json.dumps({"camera": camera, "workers": ["camera"]}))
     main(["doctor", str(tmp_path / "pipeline.yaml"), "--camera", "--json"])

@@ -3,6 +3,7 @@ to colour, and whether the configured objects are found in them."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -32,7 +33,7 @@ from huepose.perception.exchanged import PLAIN, order_of_channels
 from huepose.perception.view_detector import ViewDetector
 from huepose.profiles import profile
 from huepose.support.errors import InputError
-from huepose.support.words import beside
+from huepose.support.words import beside, rounded
 from huepose_services import models
 from huepose_services.camera.condition import Condition
 from huepose_services.camera.live import LiveSource
@@ -111,6 +112,7 @@ def _live(source: LiveSource, config: Config) -> tuple[list[RgbdFrame], list[Fin
     condition = Condition(float(settings.rate), LARGEST_STEP * settings.depth_scale_m, settings.check)
     frames: list[RgbdFrame] = []
     complaints: dict[str, str] = {}
+    youngest_ms, most_ms = math.inf, config.tracker.max_age_ms
     reader = Reader(source, float(settings.rate))  # it does not wait for an SDK that hangs
     if not reader.started:
         reader.start()
@@ -127,12 +129,19 @@ def _live(source: LiveSource, config: Config) -> tuple[list[RgbdFrame], list[Fin
                 continue
             shot = taken.shot
             condition.look(shot, now_ns(), taken.device_clock_is_host)
+            if taken.device_clock_is_host:
+                youngest_ms = min(youngest_ms, (shot.arrived_ns - shot.device_ns) * 1e-6)
             condition.count(reader.pictures, now_ns())
             complaints |= condition.complaints(now_ns())
             # The last ones: the first are dark until the exposure has settled.
             frames = [*frames, RgbdFrame(shot.color, shot.depth, shot.camera)][-_FRAMES:]
         if (trouble := reader.trouble) is not None:
             complaints["trouble"] = trouble
+        if most_ms < youngest_ms < math.inf and "clock" not in complaints:
+            complaints["age"] = (
+                f"its images are {rounded(youngest_ms)} ms old when they arrive, by their timestamps: no "
+                f"pose older than tracker.max_age_ms ({most_ms:g}) is TRACKING"
+            )
     finally:
         reader.close()
     return frames, [Finding("camera", "bad", text) for text in complaints.values()]

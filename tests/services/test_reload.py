@@ -61,6 +61,16 @@ def test_live_keys_are_applied_and_the_others_are_listed_as_waiting(worker):
     assert warnings == []
 
 
+def test_only_the_workers_that_a_shared_section_concerns_say_that_it_waits(worker):
+    text = {"networks": {"threads": 3}, "link": {"listen": "0.0.0.0:7500"}}
+    writes = {name: worker(name) for name in ("tracker", "detector", "uplink")}
+    said = {name: write(text)[2] for name, write in writes.items()}
+    assert said["tracker"] == []
+    assert "networks.threads" in said["detector"][0]
+    assert "link" not in said["detector"][0]
+    assert "link.listen" in said["uplink"][0]
+
+
 def test_the_gateway_applies_how_old_a_pose_may_be(worker):
     config, said, warnings = worker("gateway")({"tracker": {"max_age_ms": 200}})
     assert config.tracker.max_age_ms == 200.0

@@ -31,7 +31,8 @@ LIVE: dict[str, frozenset[str]] = {
 """The keys whose changes a worker, or the supervisor ("huepose"), takes over while it runs; where other
 workers need them, it informs these."""
 
-_OF_ALL = ("site", "bundles", "profile", "networks", "bus", "cpus", "camera.name", "hosts", "link")
+_OF_ALL = ("site", "bundles", "profile", "bus", "cpus", "camera.name", "hosts")
+_OF_SOME = {"networks": ("detector", "segmenter"), "link": ("uplink", "downlink")}
 
 TakeOver = Callable[[Config], list[str]]
 """Called with the new configuration: returns sentences on changes that cannot be made."""
@@ -125,5 +126,6 @@ class Reload:
         return key in LIVE.get(self._worker, ())
 
     def _waits(self, key: str) -> bool:
-        own = ("workers",) if self._worker == "huepose" else (self._worker, *_OF_ALL)
+        shared = [section for section, workers in _OF_SOME.items() if self._worker in workers]
+        own = ("workers",) if self._worker == "huepose" else (self._worker, *_OF_ALL, *shared)
         return not self._is_live(key) and any(f"{key}.".startswith(f"{one}.") for one in own)

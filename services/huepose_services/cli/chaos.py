@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import time
 from dataclasses import asdict
 from typing import Any
 
 from huepose.support.errors import InputError
-from huepose_services.cli.options import add_json, add_number, add_several, over_zero, print_result, say
+from huepose_services.cli.options import (
+    add_json,
+    add_number,
+    add_several,
+    over_zero,
+    print_result,
+    say,
+    stop_as_interrupt,
+)
 
 
 def add_parser(subparsers: Any) -> None:
@@ -46,8 +53,7 @@ def call(arguments: argparse.Namespace) -> int:
             "--only", found=" ".join(words), expected="numbers or words of faults (docs/reliability.md)"
         )
     outcomes: list[Outcome] = []
-    # SIGTERM acts like Ctrl-C, so that the pipeline is stopped.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    stop_as_interrupt()  # the pipeline is stopped
     with LivePipeline(live=True, slow=arguments.slow) as system:
         if not system.wait_until_steady(3, 300.0):
             say(f"huepose chaos: the pipeline does not become steady:\n{system.log()[-3000:]}")

@@ -223,6 +223,14 @@ def catch_stop_signals() -> Callable[[], bool]:
     return lambda: came
 
 
+def stop_as_interrupt() -> None:
+    """From now on SIGTERM and the end of the terminal (SIGHUP, unless nohup ignores it) act like Ctrl-C: what
+    was begun is undone."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.default_int_handler)
+
+
 def add_choice(parser: argparse.ArgumentParser) -> None:
     """Add the options that choose a pipeline."""
     parser.add_argument(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -20,6 +19,7 @@ from huepose_services.cli.options import (
     number_of,
     print_result,
     say,
+    stop_as_interrupt,
 )
 from huepose_services.runtime.threads import single_threaded
 
@@ -80,8 +80,7 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.bop is not None:
         from huepose_services.recording.export import export_bop
 
-        # SIGTERM acts like Ctrl-C, so that no part of a scene is left.
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        stop_as_interrupt()  # no part of a scene is left
         exported = export_bop(_events(recordings), arguments.bop)
         print(f"{arguments.bop}: {exported.text}")
         _say_cut(recordings)

@@ -279,11 +279,12 @@ def test_an_export_that_is_stopped_or_fails_leaves_no_files(tmp_path, error):
 
 
 @pytest.mark.usefixtures("same_handlers")
-def test_an_export_that_is_terminated_leaves_no_files(tmp_path, monkeypatch):
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_an_export_that_is_terminated_leaves_no_files(tmp_path, monkeypatch, number):
     monkeypatch.setattr(
-        "huepose_services.recording.export._write_images", lambda *_: signal.raise_signal(signal.SIGTERM)
+        "huepose_services.recording.export._write_images", lambda *_: signal.raise_signal(number)
     )
-    signal.signal(signal.SIGTERM, lambda *_: None)  # else, without a handler, this would end the tests
+    signal.signal(number, lambda *_: None)  # else, without a handler, this would end the tests
     recording, folder = written(tmp_path / "out").path, tmp_path / "bop"
     assert main(["replay", str(recording), "--bop", str(folder)]) == 130
     assert not folder.exists()

@@ -76,8 +76,14 @@ def agrees(estimate: PoseEstimate, tracked: Prior, stamp_ns: int, slot: ObjectSl
     covariance = tracked.covariance_at(stamp_ns, slot.middle_obj)
     if apart > NEVER_SAME or estimate.covariance is None or covariance is None:
         return False
-    both, turns = estimate.covariance + covariance, slot.equivalents or (np.eye(4),)
-    return min(mahalanobis(expected, T @ turn, both) for turn in turns) < SIGMAS_APART
+    for turn in slot.equivalents or (np.eye(4),):
+        alike = T @ turn
+        # The estimate's covariance is about its own origin, which may be far from that of the turned pose.
+        to_origin = carrying(alike[:3, 3] - T[:3, 3])
+        both = to_origin @ estimate.covariance @ to_origin.T + covariance
+        if mahalanobis(expected, alike, both) < SIGMAS_APART:
+            return True
+    return False
 
 
 def _apart(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:

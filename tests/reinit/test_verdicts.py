@@ -9,6 +9,7 @@ import pytest
 
 from huepose.believe.state import State
 from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
 from huepose.reinit import ObjectSlot, ReinitLoop
 from huepose.tracking.types import Verdict
 
@@ -70,6 +71,27 @@ def test_an_uncertain_rotation_agrees_wherever_the_origin_is() -> None:
         turned = replace(turned, covariance=covariance)
         found = loop.answer(200 * MS, result(request, 150.0, turned))
         assert [c.verdict for c in found] == [Verdict.AGREE], middle
+
+
+def test_an_uncertain_rotation_of_a_symmetric_object_agrees_wherever_the_origin_is() -> None:
+    """The estimate is tilted by 22 degrees about the middle, and half a turn about the symmetry axis there:
+    within four degrees of each, whether the origin is on that axis or not."""
+    of_middle = uncertain(0.002, np.radians(4.0))
+    for middle in (np.zeros(3), np.array([0.1, 0.0, 0.0])):
+        half_turn = se3.make(np.diag([-1.0, -1.0, 1.0]), 2.0 * middle)
+        bounds_m = np.array([middle - 0.05, middle + 0.05])
+        slot = ObjectSlot("mug", 1, 0.14, (np.eye(4), half_turn), bounds_m)
+        seen = se3.make(np.eye(3), np.array([0.0, 0.0, 0.7]) - middle)
+        tilted = se3.moved(seen, middle, np.array([0.0, 0.0, 0.0, 0.0, np.radians(22.0), 0.0])) @ half_turn
+
+        def about_its_origin(T: Float64, middle: Float64 = middle) -> Float64:
+            to_origin = se3.carrying(-T[:3, :3] @ middle)
+            return to_origin @ of_middle @ to_origin.T
+
+        loop = ReinitLoop(objects=[slot])
+        request = loop.tick(0, [replace(track(T=seen), covariance=about_its_origin(seen))])
+        found = replace(estimate(T=tilted, instance=0), covariance=about_its_origin(tilted))
+        assert [c.verdict for c in loop.answer(MS, result(request, 0, found))] == [Verdict.AGREE], middle
 
 
 def test_a_second_estimate_of_a_tracked_instance_is_no_new_instance() -> None:

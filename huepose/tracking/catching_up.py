@@ -17,6 +17,7 @@ have turned it over meanwhile, and by strides only if it is not found there.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -43,13 +44,16 @@ class Pursuit:
     """A correction on its way to the newest frame: a track of its own, and the poses (timestamp, T_cam_obj)
     that it went through.
 
-    before: the track of the object until now; it gives the usual total and the light. turned_away: the camera
-    motion is known, and the camera does not show the object's last place any more; the track is that of the
-    last frame that showed it."""
+    before: the track of the object until now; it gives the usual total and the light, and of poses that look
+    the same the one that is followed. turned_away: the camera motion is known, and the camera does not show
+    the object's last place any more; the track is that of the last frame that showed it."""
 
     def __init__(
         self, correction: Correction, subject: Subject, config: TrackerConfig, before: Track | None = None
     ) -> None:
+        near = None if before is None else before.pose_near(correction.stamp_ns)
+        if near is not None:
+            correction = replace(correction, T_cam_obj=subject.like(correction.T_cam_obj, near))
         self.correction = correction
         self.track = Track(subject, correction.object, correction.instance, config)
         if before is not None:

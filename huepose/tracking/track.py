@@ -144,6 +144,12 @@ class Track:
         T, T_new_old = self.T_cam_obj, self._camera.after(frame, self._looked_ns)[1]
         return T if T is None or T_new_old is None else se3.compose(T_new_old, T)
 
+    def pose_near(self, stamp_ns: int) -> Float64 | None:
+        """Its pose (4, 4) at a timestamp, or else the last one that is known; None before the first."""
+        there, sure = self.history.at(stamp_ns), self.belief.orientation.sure
+        last = self.T_cam_obj if self.hypotheses or sure is None else sure.T_cam_obj
+        return last if there is None else there
+
     def _carry(self, T_new_old: Float64) -> None:
         """Transform it to other axes by T_new_old (4, 4)."""
         self.hypotheses = tuple(h.seen_from(T_new_old) for h in self.hypotheses)

@@ -40,6 +40,24 @@ def whirled(tea_box, shoot):
     return frames, [at(k) for k in numbers], [shoot([], k) for k in numbers]
 
 
+def test_of_poses_that_look_the_same_a_pursuit_follows_the_one_nearest_to_the_last(
+    tea_box, film, path
+) -> None:
+    """The rotation of a round object that a robot follows does not jump when perception finds it again."""
+    half = se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    model, frames = replace(tea_box, equivalents=np.stack([np.eye(4), half])), film(4)
+    for lost in (False, True):
+        tracker = Tracker({"tea_box": model})
+        tracker.correct(Correction.first("tea_box", path(0), frames[0], 1.0))
+        for frame in frames:
+            tracker.step(frame)
+        track = tracker._tracks["tea_box", 0]
+        if lost:
+            track.lose()
+        pursuit = Pursuit(late(frames[-1], path(3) @ half), track.subject, LIVE, track)
+        assert np.allclose(pursuit.correction.T_cam_obj, path(3))
+
+
 @pytest.mark.parametrize("behind", [1, 3, 6, 12])
 def test_a_pursuit_reaches_the_newest_frame_in_few_strides(tea_box, shoot, path, behind) -> None:
     subject = Subject.of(tea_box)

@@ -70,10 +70,10 @@ def main() -> None:
     print(target)
 
 
-def draw_color_pairs(image: UInt8, pixels: Float, colors: UInt8, radius: int = 3) -> UInt8:
+def draw_color_pairs(image: UInt8, pixels: Float, colors: UInt8) -> UInt8:
     """The image (H, W, 3) with a disc at each of the pixels (N, 2), a half in each of its two colours (N, 2,
     3)."""
-    picture = image.copy()
+    picture, radius = image.copy(), 3
     for (u, v), (one, other) in zip(np.rint(pixels).astype(int).tolist(), colors.tolist(), strict=True):
         cv2.circle(picture, (u, v), radius + 1, (255, 255, 255), -1, cv2.LINE_AA)
         cv2.ellipse(picture, (u, v), (radius, radius), 0, 90, 270, one, -1, cv2.LINE_AA)

@@ -53,7 +53,7 @@ class BopWriter:
 
     def __init__(self, folder: Path, facts: dict[str, Any], color_suffix: str = ".jpg") -> None:
         """Open or make the folder. Raises InputError if it holds something else or cannot be written."""
-        self.folder, self._facts, self._color_suffix = folder, facts, color_suffix
+        self.folder, self._color_suffix = folder, color_suffix
         self._sheets: dict[str, dict[str, Any]] = {name: {} for name in _SHEETS}
         facts_path = folder / "rendered.json"
         if facts_path.exists():

@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Literal
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -56,8 +55,8 @@ class HandEye:
     forms_apart: tuple[float, float]
 
 
-def solve(A: Float64, B: Float64, method: Method = "park") -> HandEye:
-    """X and Y of A_i X B_i = Y, A and B (N, 4, 4). method: the closed form that the refinement starts from.
+def solve(A: Float64, B: Float64) -> HandEye:
+    """X and Y of A_i X B_i = Y, A and B (N, 4, 4).
 
     B is T_cam_obj. For a camera on the hand and a static object, A is T_base_hand, X is T_hand_cam, and Y is
     T_base_obj. For a fixed camera and an object in the hand, A is T_hand_base, X is T_base_cam, and Y is
@@ -91,7 +90,7 @@ def solve(A: Float64, B: Float64, method: Method = "park") -> HandEye:
             expected="the hand rotated about two axes or more, by 20 to 150 degrees",
         )
     M, N = M[certain], N[certain]
-    X = CLOSED_FORMS[method](M, N)
+    X = park(M, N)
     return _refined(A, B, X, A[0] @ X @ B[0], disagreement(M, N))
 
 
@@ -134,9 +133,6 @@ def residuals(A: Float64, B: Float64, X: Float64, Y: Float64, lever_m: float) ->
     left = se3.inverse(Y) @ A @ X @ B
     turns = rotation_vectors(left)
     return np.concatenate([left[:, :3, 3].ravel(), lever_m * turns.ravel()])
-
-
-Method = Literal["park", "tsai", "daniilidis"]
 
 
 def park(M: Float64, N: Float64) -> Float64:
@@ -191,7 +187,7 @@ def daniilidis(M: Float64, N: Float64) -> Float64:
     return se3.make(se3.rotation_from_quaternion(np.roll(q, -1)), t)
 
 
-CLOSED_FORMS: dict[Method, Callable[[Float64, Float64], Float64]] = {
+CLOSED_FORMS: dict[str, Callable[[Float64, Float64], Float64]] = {
     "park": park,
     "tsai": tsai,
     "daniilidis": daniilidis,

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from huepose.geometry import se3
-from huepose.geometry.hand_eye import CLOSED_FORMS, Method, disagreement, moves, solve
+from huepose.geometry.hand_eye import CLOSED_FORMS, disagreement, moves, solve
 
 X = se3.make(se3.rotation_exp(np.array([0.3, -0.7, 0.4])), np.array([0.4, -0.2, 0.9]))
 Y = se3.make(se3.rotation_exp(np.array([-1.2, 0.2, 0.5])), np.array([0.02, 0.05, 0.12]))
 
-OPENCV: dict[Method, tuple[list[float], list[float]]] = {
+OPENCV: dict[str, tuple[list[float], list[float]]] = {
     "park": ([0.40028, -0.199293, 0.901662], [0.299435, -0.701252, 0.403157]),
     "tsai": ([0.400216, -0.199329, 0.90169], [0.299425, -0.701332, 0.403064]),
     "daniilidis": ([0.400222, -0.199677, 0.901502], [0.30055, -0.701325, 0.403747]),
@@ -41,7 +41,7 @@ def of_moves(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("angle", [0.0, 0.5, 2.5, np.pi - 1e-9, np.pi])
 @pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.48, 0.6, -0.64)])
 def test_without_noise_each_is_exact_however_the_camera_is_rotated(
-    method: Method, angle: float, axis: tuple[float, float, float]
+    method: str, angle: float, axis: tuple[float, float, float]
 ) -> None:
     true = se3.make(se3.rotation_exp(angle * np.array(axis)), X[:3, 3])
     found = CLOSED_FORMS[method](*of_moves(*measured(true)))
@@ -49,7 +49,7 @@ def test_without_noise_each_is_exact_however_the_camera_is_rotated(
 
 
 @pytest.mark.parametrize("method", CLOSED_FORMS)
-def test_with_noise_each_gives_the_answer_of_opencv_4(method: Method) -> None:
+def test_with_noise_each_gives_the_answer_of_opencv_4(method: str) -> None:
     found = CLOSED_FORMS[method](*of_moves(*noisy()))
     translation, turn = OPENCV[method]
     np.testing.assert_allclose(found[:3, 3], translation, atol=2e-6)
@@ -57,8 +57,12 @@ def test_with_noise_each_gives_the_answer_of_opencv_4(method: Method) -> None:
 
 
 @pytest.mark.parametrize("method", CLOSED_FORMS)
-def test_the_refined_answer_does_not_depend_on_the_start(method: Method) -> None:
-    one, other = solve(*noisy()), solve(*noisy(), method)
+def test_the_refined_answer_does_not_depend_on_the_start(
+    method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = solve(*noisy())
+    monkeypatch.setattr("huepose.geometry.hand_eye.park", CLOSED_FORMS[method])
+    other = solve(*noisy())
     np.testing.assert_allclose(one.X, other.X, atol=1e-5)
 
 

@@ -147,19 +147,20 @@ def _refound(
 def _augmented(color: UInt8, rng: np.random.Generator) -> UInt8:
     """The image (H, W, 3) with random brightness, tint, tone curve, blur and noise."""
     light = rng.uniform(0.4, 1.2) * rng.uniform(0.8, 1.2, 3)
-    taken = 255.0 * np.clip((color / 255.0) ** rng.uniform(0.7, 1.4) * light, 0.0, 1.0)
+    tones = (np.arange(256)[:, None] / 255.0) ** rng.uniform(0.7, 1.4) * light
+    taken = cv2.LUT(color, 255.0 * np.clip(tones, 0.0, 1.0)[None])
     taken = cv2.GaussianBlur(taken, (0, 0), rng.uniform(0.4, 0.9)) + rng.normal(0.0, 4.0, taken.shape)
-    return np.clip(np.rint(taken), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(np.rint(taken), 0, 255), np.uint8)
 
 
 def _selected(points: Float64, descriptors: Float32, refound: Float64, count: int) -> Int64:
     """Indices of at most `count` features that were detected again, the most often first, without
     duplicates."""
-    chosen: list[int] = []
+    chosen = np.empty(0, np.int64)
     for k in np.argsort(-refound, kind="stable"):
         if not refound[k] or len(chosen) == count:
             break
-        near = np.array(chosen, np.int64)[np.linalg.norm(points[chosen] - points[k], axis=1) < DUPLICATE_M]
+        near = chosen[np.linalg.norm(points[chosen] - points[k], axis=1) < DUPLICATE_M]
         if not (descriptors[near] @ descriptors[k] > DUPLICATE_SIMILARITY).any():
-            chosen.append(int(k))
-    return np.array(chosen, np.int64)
+            chosen = np.append(chosen, k)
+    return chosen

@@ -69,6 +69,24 @@ class _Part:
     T: Float64
     where: Rasterised
 
+    def pixels(self) -> tuple[Int64, Int64]:
+        """Rows and columns (N,) of the pixels that show it."""
+        left, top, right, bottom = self.where.bounds
+        rows, columns = np.nonzero(self.where.owner[top : bottom + 1, left : right + 1] == self.where.number)
+        return rows + top, columns + left
+
+    def add_points(self, rows: Int64, columns: Int64, out: Float32) -> None:
+        """Writes points into out (N, 3), at those of the pixels (N,) that show it."""
+        locate(self.where, self.mesh.corner_points, rows, columns, out)
+
+    def add_normals(self, rows: Int64, columns: Int64, out: Float32) -> None:
+        """Writes normals into out (N, 3), at those of the pixels (N,) that show it."""
+        locate(self.where, self.mesh.corner_normals, rows, columns, out)
+        rotate_normals(self.where, np.ascontiguousarray(self.T[:3, :3]), rows, columns, out)
+
+
+_Add = Callable[[_Part, Int64, Int64, Float32], None]
+
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
@@ -86,33 +104,37 @@ class Rendering:
     @cached_property
     def normals_cam(self) -> Float32:
         """(H, W, 3) float32, unit, towards the camera, 0 = nothing."""
-        return self._everywhere(self.normals_at)
+        return self._everywhere(_Part.add_normals)
 
     @cached_property
     def points_obj(self) -> Float32:
         """(H, W, 3) float32 metres in the frame of the visible object, 0 = nothing."""
-        return self._everywhere(self.points_at)
+        return self._everywhere(_Part.add_points)
 
     def normals_at(self, rows: Int64, columns: Int64) -> Float32:
         """Normals (N, 3) at some pixels (N,), as in `normals_cam`."""
-        out = np.zeros((len(rows), 3), np.float32)
-        for part in self._parts:
-            locate(part.where, part.mesh.corner_normals, rows, columns, out)
-            rotate_normals(part.where, np.ascontiguousarray(part.T[:3, :3]), rows, columns, out)
-        return out
+        return self._at(_Part.add_normals, rows, columns)
 
     def points_at(self, rows: Int64, columns: Int64) -> Float32:
         """Points (N, 3) at some pixels (N,), as in `points_obj`."""
+        return self._at(_Part.add_points, rows, columns)
+
+    def _at(self, add: _Add, rows: Int64, columns: Int64) -> Float32:
         out = np.zeros((len(rows), 3), np.float32)
         for part in self._parts:
-            locate(part.where, part.mesh.corner_points, rows, columns, out)
+            add(part, rows, columns, out)
         return out
 
-    def _everywhere(self, at: Callable[[Int64, Int64], Float32]) -> Float32:
-        rows, columns = np.nonzero(self.object_index >= 0)
-        out = np.zeros((*self.depth.shape, 3), np.float32)
-        out[rows, columns] = at(rows, columns)
-        return out
+    def _everywhere(self, add: _Add) -> Float32:
+        """Each mesh is asked for its own pixels only: a room has twenty meshes."""
+        height, width = self.depth.shape
+        out = np.zeros((height * width, 3), np.float32)
+        for part in self._parts:
+            rows, columns = part.pixels()
+            own = np.zeros((len(rows), 3), np.float32)
+            add(part, rows, columns, own)
+            out[rows * width + columns] = own
+        return out.reshape(height, width, 3)
 
 
 def is_closed(vertices: Float32, faces: Int32) -> bool:

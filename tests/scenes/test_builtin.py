@@ -31,7 +31,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def scene(folder: Path) -> SyntheticScene:
-    return SyntheticScene(3, 1.0, THREE, SMALL, cache=folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("huepose.scenes.plan._ATTEMPTS", 1)  # the first plan instead of the best of twelve
+        return SyntheticScene(3, 1.0, THREE, SMALL, cache=folder)
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ from huepose.onboarding.declared import read_symmetries
 from huepose.onboarding.onboard import onboard_mesh
 from huepose.onboarding.reference import STAGES, diameter_of
 from huepose.support.errors import InputError
+from tests.onboarded import few_views
 from tests.onboarding import mesh_files as files
 from tests.onboarding import solids
 
@@ -63,14 +64,15 @@ def test_given_symmetries_diameter_and_offset_are_kept() -> None:
     half_turn[1, 3] = 8.0
     info = {"diameter": 72.0, "symmetries_discrete": [half_turn.reshape(-1).tolist()]}
     about_z = {"symmetries_continuous": [{"axis": [0, 0, 1], "offset": [0, 0, 0]}]}
-    model = onboard_mesh(
-        solids.box((0.05, 0.04, 0.03)),
-        "brick",
-        object_id=7,
-        info=info,
-        symmetric=about_z,
-        frame_offset_m=np.array([0.001, 0.0, -0.002]),
-    )
+    with few_views():
+        model = onboard_mesh(
+            solids.box((0.05, 0.04, 0.03)),
+            "brick",
+            object_id=7,
+            info=info,
+            symmetric=about_z,
+            frame_offset_m=np.array([0.001, 0.0, -0.002]),
+        )
     assert (model.object_id, model.diameter_m) == (7, pytest.approx(0.072))
     with pytest.raises(InputError, match=r"7200 cm \(models_info.json\) and 7.071 cm \(mesh\)"):
         onboard_mesh(solids.box((0.05, 0.04, 0.03)), "brick", info={"diameter": 72_000.0})

@@ -17,7 +17,7 @@ import pytest
 
 from huepose.evaluation import suitability
 from huepose.model import load_models
-from huepose.onboarding import batch, simplify
+from huepose.onboarding import batch, pairs, simplify
 from huepose_services.cli.main import main
 from huepose_services.cli.mesh_unit import with_unit
 from tests import onboarded
@@ -27,7 +27,8 @@ from tests.services.conftest import Says, heeds_ctrl_c
 
 
 @pytest.fixture
-def few_views() -> Iterator[None]:
+def few_views(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(pairs, "LEVEL", 0)  # twelve sides for colour pairs, too
     with onboarded.few_views():
         yield
 

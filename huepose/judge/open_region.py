@@ -255,8 +255,9 @@ def _averaged_around(points: Float32, normals: Float32, values: Float, sigma_m: 
     from scipy.spatial import cKDTree  # 0.2 s, which a tracker of cached objects saves
 
     a, b = cKDTree(points).query_pairs(2.5 * sigma_m, output_type="ndarray").T
-    d2 = ((points[a] - points[b]) ** 2).sum(1)
-    near = np.exp(-d2 / (2 * sigma_m**2)) * np.maximum((normals[a] * normals[b]).sum(1), 0.0)
+    x, y, z = ((column[a] - column[b]) ** 2 for column in points.T.copy())
+    nx, ny, nz = (column[a] * column[b] for column in normals.T.copy())
+    near = np.exp(-(x + y + z) / (2 * sigma_m**2)) * np.maximum(nx + ny + nz, 0.0)
     own = np.arange(len(points))
     i, j = np.concatenate([a, b, own]), np.concatenate([b, a, own])
     w = np.concatenate([near, near, (normals**2).sum(1)])

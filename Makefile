@@ -27,8 +27,9 @@ demo: setup
 	@.venv/bin/huepose demo
 
 # One thread for the libraries of each process: those of several would wait spinning for each other. One process more
-# than processors, since some tests wait. Live tests wait most of the time: those with a whole pipeline run one after the
-# other, and meanwhile so do the small ones. All find the reference models that the first ones make in one folder.
+# than processors, since some tests wait. Live tests wait most of the time: those that measure time, or whose pipeline
+# has to keep up, run one after the other, and meanwhile so do the others. All find the reference models that the first
+# ones make in one folder.
 test: export TEST_SHELF = $(CURDIR)/build/shelf
 test: setup
 	@rm -rf build/shelf

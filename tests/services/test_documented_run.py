@@ -236,7 +236,6 @@ FOLDER = ("docs/cameras.md", "A folder of images")
 
 
 @pytest.mark.live
-@pytest.mark.pipeline
 @pytest.mark.timeout(300)
 @pytest.mark.skipif(not ACTIVATE.exists(), reason="there is no .venv: make setup")
 def test_a_folder_of_images_is_played_as_the_page_says(tmp_path: Path, recording) -> None:

@@ -10,7 +10,7 @@ from huepose_protos import PoseClient
 from huepose_services.runtime.running import pick
 from tests.services.conftest import NAME, PLAYED, free_port_range, patient_pipeline, processes
 
-pytestmark = [pytest.mark.live, pytest.mark.pipeline, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.live, pytest.mark.timeout(300)]
 
 HALF = 0.5**0.5
 MOUNTS = {

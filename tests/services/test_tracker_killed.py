@@ -11,7 +11,7 @@ from huepose_services.runtime.running import pick
 from huepose_services.watch import Watch
 from tests.services.conftest import patient_pipeline
 
-pytestmark = [pytest.mark.live, pytest.mark.pipeline, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.live, pytest.mark.timeout(180)]
 
 
 def test_a_static_object_is_tracked_again_after_the_tracker_died(recording, tmp_path, huepose, wait_until):

@@ -27,7 +27,7 @@ from huepose.judge.region import least_tolerance_m, saturated
 from huepose.judge.silhouette import bounds_of
 from huepose.judge.terms import Terms, score_arrays
 from huepose.model.types import COLOR_SCALES_M, ReferenceModel
-from huepose.support.kept import kept
+from huepose.support.kept import kept, once_for_each
 
 SCALES_M = (*COLOR_SCALES_M, 0.008)
 """Gaussian sigmas of the three averages on the object; the first two come with a model's surface."""
@@ -150,8 +150,9 @@ class PreparedSurface:
     radius_m: float
 
     @staticmethod
+    @once_for_each
     def of(model: ReferenceModel) -> PreparedSurface:
-        """Prepare a reference model."""
+        """Prepare a reference model; one surface per model, shared by all callers."""
         arrays = model_arrays(model)
         points = arrays.points
         colors = kept(_Colors, model.digest, lambda: _colors(arrays))

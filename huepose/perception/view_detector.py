@@ -9,7 +9,7 @@ box of what is visible there. An absent object gets places too, with low scores:
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -34,7 +34,7 @@ from huepose.perception.memory import Memory, features_of, next_look
 from huepose.perception.presence import sights_of
 from huepose.perception.scouting import EFFORTS, Effort, Proposal, propose, visible_part
 from huepose.perception.types import Detection
-from huepose.perception.window_table import WindowTable, window_table
+from huepose.perception.window_table import window_table
 from huepose.perception.windows import WindowsBySize
 from huepose.propose.features import Features, FeatureSource, Sift
 from huepose.propose.keypoint_reference import build_keypoints
@@ -65,7 +65,6 @@ class ViewDetector:
         self.config = config or DetectorConfig()
         self._models = ReferenceModels({})
         self._features: FeatureSource = Sift()
-        self._table: Callable[[ReferenceModel], WindowTable] = once_for_each(window_table)
         self._keypoints_of = once_for_each(self._kept_keypoints)
         self._lock = threading.Lock()
         self._memory: Memory | None = None
@@ -135,7 +134,7 @@ class ViewDetector:
             free = view.without(taken_by(model, unveiled_frame, known)) if known else view
             proposed = propose(
                 model,
-                self._table(model),
+                window_table(model),
                 free,
                 windows.of(model.diameter_m),
                 most,
@@ -173,7 +172,7 @@ class ViewDetector:
     ) -> list[str]:
         """The waiting objects that are searched for in this frame as well: something new looks like
         them."""
-        views = [(name, model.diameter_m, self._table(model)) for name, model in missing.items()]
+        views = [(name, model.diameter_m, window_table(model)) for name, model in missing.items()]
         attention = attended(self._attention, memory, windows, views)
         picked = attention.picked(waiting)
         self._attention = attention.after((set(missing) - set(waiting)).union(picked), missing)
@@ -190,7 +189,7 @@ class ViewDetector:
     def warm_up(self) -> None:
         """Load the views of all objects, and compile the kernels on a rendered frame of the first."""
         for model in list(self._models.values()):
-            self._table(model)
+            window_table(model)
             Contours.of(model)
             if "keypoints" in self.config.sources:
                 self._keypoints_of(model)

@@ -16,7 +16,7 @@ from huepose.propose.templates import COARSE_SIDE, MILLIMETRES, CoarseViews, coa
 from huepose.propose.view_codes import codes_of_views
 from huepose.propose.views import onto_rays
 from huepose.support.jit import jit
-from huepose.support.kept import kept
+from huepose.support.kept import kept, once_for_each
 from huepose.support.stages import stage
 
 VIEWS, ROLL_STRIDE = 42, 2
@@ -46,8 +46,9 @@ class WindowTable:
     hues: Float32
 
 
+@once_for_each
 def window_table(model: ReferenceModel) -> WindowTable:
-    """The table of a model (about 2 MB; 0.3 s if it has to be made)."""
+    """The table of a model (about 2 MB; 0.3 s if it has to be made), kept as long as the model exists."""
     return kept(WindowTable, model.digest, lambda: _made(model))
 
 

@@ -203,10 +203,12 @@ def once_for_each(make: Callable[[K], V]) -> Callable[[K], V]:
 
     @wraps(make)
     def once(key: K) -> V:
-        with lock:
-            found = results.get(key)
-            if found is None:
-                found = results[key] = make(key)
-            return found
+        found = results.get(key)  # what is there does not wait for what another thread makes
+        if found is None:
+            with lock:
+                found = results.get(key)
+                if found is None:
+                    found = results[key] = make(key)
+        return found
 
     return once

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import pytest
 from huepose.support import kept as module
 from huepose.support.errors import InputError
 from huepose.support.files import cache_folder
-from huepose.support.kept import code_version, kept
+from huepose.support.kept import code_version, kept, once_for_each
 from tests.disk import full_disk
 
 
@@ -192,3 +193,26 @@ def test_several_threads_make_a_value_once() -> None:
     for one in found:
         assert_same(one, Maker()())
     assert make.calls == 1
+
+
+def test_what_is_there_does_not_wait_for_what_another_thread_makes() -> None:
+    """A search does not wait for the views of an object that is added meanwhile."""
+    there, added = Maker(), Maker()
+    begun, may_end = threading.Event(), threading.Event()
+
+    @once_for_each
+    def name_of(maker: Maker) -> str:
+        if maker is added:
+            begun.set()
+            assert may_end.wait(60.0)
+        return "made"
+
+    name_of(there)
+    with ThreadPoolExecutor(2) as pool:
+        made = pool.submit(name_of, added)
+        assert begun.wait(60.0)
+        try:
+            assert pool.submit(name_of, there).result(10.0) == "made"
+        finally:
+            may_end.set()
+        assert made.result(60.0) == "made"

@@ -27,34 +27,40 @@ shelf: Path | None = None
 
 
 @contextmanager
-def few_views() -> Iterator[None]:
-    """A context in which models get templates and keypoints from twelve sides only: they take most of an
-    onboarding, and are used only to search for the object."""
+def few_views(templates: bool = True) -> Iterator[None]:
+    """A context in which models get keypoints and templates from twelve sides only, or keypoints alone: they
+    take most of an onboarding, and are used only to search for the object. Each side's keypoints are compared
+    with one other view instead of three."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(keypoint_reference, "LEVEL", 0)
-        patch.setattr(reference, "build_templates", partial(build_templates, level=0))
+        patch.setattr(keypoint_reference, "TEST_VIEWS", 1)
+        if templates:
+            patch.setattr(reference, "build_templates", partial(build_templates, level=0))
         yield
 
 
-def onboarded(mesh: Mesh, name: str, *, searched: bool = True, **how: Any) -> ReferenceModel:
-    """The result of `onboard_mesh`, bit by bit; with `few_views` if it is not searched for."""
+def onboarded(
+    mesh: Mesh, name: str, *, searched: bool = True, plain: bool = False, **how: Any
+) -> ReferenceModel:
+    """The result of `onboard_mesh`, bit by bit; with `few_views` if it is not searched for, with those of
+    keypoints if it is plain: it is searched for by its shape."""
     if shelf is None:
-        return _made(mesh, name, searched, how)
-    digest = hashlib.sha256(repr((searched, *sorted(how.items()))).encode())
+        return _made(mesh, name, searched, plain, how)
+    digest = hashlib.sha256(repr((searched, plain, *sorted(how.items()))).encode())
     digest.update(mesh.content())
     path = model_path(shelf / digest.hexdigest()[:16], name)
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not path.exists():
-            save_model(_made(mesh, name, searched, how), path)
+            save_model(_made(mesh, name, searched, plain, how), path)
     made = load_model(path)
     # As after onboarding: no digest, so nothing derived from the model is cached.
     return replace(made, digest=None, mesh=replace(made.mesh, digest=None))
 
 
-def _made(mesh: Mesh, name: str, searched: bool, how: dict[str, Any]) -> ReferenceModel:
-    with nullcontext() if searched else few_views():
+def _made(mesh: Mesh, name: str, searched: bool, plain: bool, how: dict[str, Any]) -> ReferenceModel:
+    with nullcontext() if searched and not plain else few_views(templates=not searched):
         return onboard_mesh(mesh, name, **how)
 
 

@@ -224,7 +224,7 @@ def part():
     """Mesh and reference model of a box of one colour."""
     mesh = solids.box((0.09, 0.06, 0.15))
     mesh = replace(mesh, texture=np.full_like(mesh.texture, (200, 110, 40)))
-    return mesh, onboarded(mesh, "part")
+    return mesh, onboarded(mesh, "part", plain=True)
 
 
 @pytest.fixture

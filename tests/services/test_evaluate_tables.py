@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,12 +14,12 @@ import pytest
 
 from huepose.evaluation.pose_files import read_bop_csv
 from huepose.evaluation.tables.table import Table
-from huepose.propose import keypoint_reference
 from huepose.scenes.unseen.objects import unseen_objects
 from huepose.support.errors import InputError
 from huepose_services.cli import evaluate_scenes
 from huepose_services.cli.main import main
 from huepose_services.cli.table_tracks import TrackSource
+from tests.onboarded import few_views
 from tests.scenes.stand_ins import stand_in_objects, write_stand_ins
 from tests.services.conftest import Says
 
@@ -33,9 +34,10 @@ def data(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def onboards_little(onboards_here: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def onboards_little(onboards_here: None) -> Iterator[None]:
     """Meshes are onboarded in this process, with keypoints from twelve sides."""
-    monkeypatch.setattr(keypoint_reference, "LEVEL", 0)
+    with few_views(templates=False):
+        yield
 
 
 def cells(table: Table, row: str) -> dict[tuple[str, str], object]:

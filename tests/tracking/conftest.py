@@ -24,7 +24,7 @@ Shoot = Callable[..., RgbdFrame]
 @pytest.fixture(scope="session")
 def plain_box() -> ReferenceModel:
     """A box of one colour, with a sticker on a side that is out of view when it lies."""
-    return onboarded(builtin_meshes(0)["plain_box"], "plain_box")
+    return onboarded(builtin_meshes(0)["plain_box"], "plain_box", plain=True)
 
 
 @pytest.fixture(scope="session")
@@ -36,7 +36,7 @@ def half_plain_can() -> ReferenceModel:
 @pytest.fixture(scope="session")
 def plain_bracket() -> ReferenceModel:
     """A bracket of one colour; only its shape shows its orientation."""
-    return onboarded(builtin_meshes(0)["plain_bracket"], "plain_bracket")
+    return onboarded(builtin_meshes(0)["plain_bracket"], "plain_bracket", plain=True)
 
 
 @pytest.fixture(scope="session")

@@ -200,7 +200,10 @@ def compete(
     before: list[PoseEstimate] = []
     for k in sorted(range(len(out)), key=lambda i: _rank(out[i][0])):
         sure = [o for o in before if o.quality >= SURE or o.object == queries[k].object]
-        taken = np.any([o.mask for o in sure if o.mask is not None] or [np.zeros(frame.depth.shape, bool)], 0)
+        taken = np.zeros(frame.depth.shape, bool)
+        for o in sure:
+            if o.mask is not None:
+                taken |= o.mask
         out[k] = _without(frame, queries[k], out[k], taken, look_again)
         before.append(out[k][0])
     return out

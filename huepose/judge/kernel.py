@@ -159,7 +159,7 @@ def _look_up(region: RegionArrays, count: int, scratch: Float64) -> None:
         inside[k] = 1.0 if within else 0.0
         place[k] = pixel if within else 0.0
     for k in range(count):
-        p = np.uint64(place[k])
+        p = np.uint64(np.int64(place[k]))
         observed[k], believed[k] = depth[p], belief[p]
         clear[k] = 0.0 if saturated[p] else 1.0
 

@@ -322,9 +322,20 @@ def _smoothed(evidence: Float32) -> Float32:
 
 def _shares(place: np.ndarray, weight: Float64) -> Float64:
     """Share (BINS ** 3,) of each colour in weighted pixels, smoothed over neighbouring bins."""
-    counts = np.bincount(place.ravel(), weight.ravel(), BINS**3).reshape(BINS, BINS, BINS)
-    for axis in range(3):
-        moved = np.moveaxis(counts, axis, 0)
-        below, above = np.concatenate([moved[:1], moved[:-1]]), np.concatenate([moved[1:], moved[-1:]])
-        counts = np.moveaxis(0.5 * moved + 0.25 * (below + above), 0, axis)
-    return np.asarray(counts.ravel() / max(float(weight.sum()), 1e-9))
+    counts = np.asarray(np.bincount(place.ravel(), weight.ravel(), BINS**3), np.float64)
+    for apart in (BINS * BINS, BINS, 1):
+        counts = _blurred(counts, apart)
+    return np.asarray(counts / max(float(weight.sum()), 1e-9))
+
+
+@jit
+def _blurred(counts: Float64, apart: int) -> Float64:
+    """Counts (BINS ** 3,) smoothed along the channel whose neighbouring bins are `apart`."""
+    out = np.empty_like(counts)
+    for first in range(0, counts.shape[0], BINS * apart):
+        for k in range(BINS):
+            here = first + k * apart
+            below, above = first + max(k - 1, 0) * apart, first + min(k + 1, BINS - 1) * apart
+            for i in range(apart):
+                out[here + i] = 0.5 * counts[here + i] + 0.25 * (counts[below + i] + counts[above + i])
+    return out

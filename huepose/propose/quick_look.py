@@ -199,10 +199,10 @@ def _score_windows(
         for g in range(which.shape[0]):
             best = -1e9
             for k in range(places):
-                now = without_depth[g * places + k]
-                if now + DEPTH_WEIGHT <= best:
-                    continue  # Not even a perfect relief would help.
-                total = now + DEPTH_WEIGHT * np.exp(-deviation[g * places + k] * sharpness)
+                now, apart = without_depth[g * places + k], deviation[g * places + k] * sharpness
+                if now + DEPTH_WEIGHT / (1.0 + apart) <= best:
+                    continue  # exp(-x) <= 1 / (1 + x)
+                total = now + DEPTH_WEIGHT * np.exp(-apart)
                 if total > best:
                     best = total
                     which[g, i] = k

@@ -20,7 +20,7 @@ from huepose.judge.region import Crop
 from huepose.propose.close_look import canvas_of, check_templates
 from huepose.propose.quick_look import masked_cells, nearest, quick_look, sampled
 from huepose.propose.templates import COARSE_SIDE, MILLIMETRES, TemplateTable
-from huepose.support.jit import jit_dividing
+from huepose.support.jit import jit, jit_dividing
 
 SHIFTS = (-1, 0, 1)
 """Shifts of the window from the mask's centroid, in cells of the quick look, along both image axes."""
@@ -178,18 +178,33 @@ def _poses(
     table: TemplateTable, templates: Int64, pixels: Float64, depth_m: Float64, camera: Camera
 ) -> Float64:
     """T_cam_obj (K, 4, 4) of templates (K,) whose windows are centred at pixels (K, 2) and depths (K,)."""
-    rays = camera.rays(pixels)
-    to_rays = onto_rays(rays)
-    poses = np.tile(np.eye(4), (len(templates), 1, 1))
-    poses[:, :3, :3] = to_rays @ table.rotations[templates]
-    poses[:, :3, 3] = rays * depth_m[:, None] + np.einsum("nij,nj->ni", to_rays, table.origins[templates])
-    return poses
+    return _placed(camera.rays(pixels), depth_m, table.rotations[templates], table.origins[templates])
 
 
+@jit
+def _placed(rays: Float64, depth_m: Float64, rotations: Float64, origins: Float64) -> Float64:
+    """Poses (K, 4, 4) of views whose rotations (K, 3, 3) and origins (K, 3) are relative to rays (K, 3)."""
+    to_rays, out = onto_rays(rays), np.zeros((len(rays), 4, 4))
+    for k in range(len(rays)):
+        for r in range(3):
+            out[k, r, 3] = rays[k, r] * depth_m[k]
+            for i in range(3):
+                out[k, r, 3] += to_rays[k, r, i] * origins[k, i]
+                for c in range(3):
+                    out[k, r, c] += to_rays[k, r, i] * rotations[k, i, c]
+        out[k, 3, 3] = 1.0
+    return out
+
+
+@jit
 def onto_rays(rays: Float64) -> Float64:
     """The shortest rotations (K, 3, 3) that take the optical axis onto rays (K, 3)."""
-    d = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    K = np.zeros((len(d), 3, 3))
-    K[:, 0, 2], K[:, 1, 2] = d[:, 0], d[:, 1]
-    K[:, 2, 0], K[:, 2, 1] = -d[:, 0], -d[:, 1]
-    return np.asarray(np.eye(3) + K + K @ K / (1.0 + d[:, 2])[:, None, None])
+    out = np.empty((len(rays), 3, 3))
+    for k in range(len(rays)):
+        length = np.sqrt(rays[k, 0] ** 2 + rays[k, 1] ** 2 + rays[k, 2] ** 2)
+        x, y, z = rays[k, 0] / length, rays[k, 1] / length, rays[k, 2] / length
+        share = 1.0 / (1.0 + z)
+        out[k, 0, 0], out[k, 0, 1], out[k, 0, 2] = 1.0 - x * x * share, -x * y * share, x
+        out[k, 1, 0], out[k, 1, 1], out[k, 1, 2] = -x * y * share, 1.0 - y * y * share, y
+        out[k, 2, 0], out[k, 2, 1], out[k, 2, 2] = -x, -y, 1.0 - (x * x + y * y) * share
+    return out

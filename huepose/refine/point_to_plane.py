@@ -18,6 +18,7 @@ from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.model.types import DistanceGrid, Surface
 from huepose.refine.solver import Body, NormalEquations, advance, clear, information, normal_equations, tukey
 from huepose.support.jit import jit, jit_dividing
+from huepose.support.kept import once_for_each
 
 DAMPING = 2e-3
 """Damping per point, on steps in metres: about the weight of one point in five hundred in each direction."""
@@ -92,6 +93,7 @@ def surface_arrays(surface: Surface, grid: DistanceGrid) -> SurfaceArrays:
     return SurfaceArrays(surface.points, surface.normals, grid.origin, float(grid.step), grid.nearest)
 
 
+@once_for_each
 def grid_body(grid: DistanceGrid) -> Body:
     """The object's body for steps: its centre is the grid's, its radius a third of the grid's diagonal."""
     reach = grid.step * (np.array(grid.nearest.shape) - 1) / 2.0
@@ -267,14 +269,15 @@ def _nearest_samples(T: Float64, points_cam: Float64, surface: SurfaceArrays, sc
     d0, d1, d2 = surface.nearest.shape
     for k in range(points_cam.shape[0]):
         x, y, z = points_cam[k, 0] - t0, points_cam[k, 1] - t1, points_cam[k, 2] - t2
-        q0 = r00 * x + r10 * y + r20 * z
-        q1 = r01 * x + r11 * y + r21 * z
-        q2 = r02 * x + r12 * y + r22 * z
-        scratch[0, k], scratch[1, k], scratch[2, k] = q0, q1, q2
-        # Outside the grid, the nearest border cell is used; the gate rejects far points.
-        a0 = int(min(max((q0 - o0) / step + 0.5, 0.0), d0 - 1.0))
-        a1 = int(min(max((q1 - o1) / step + 0.5, 0.0), d1 - 1.0))
-        a2 = int(min(max((q2 - o2) / step + 0.5, 0.0), d2 - 1.0))
+        scratch[0, k] = r00 * x + r10 * y + r20 * z
+        scratch[1, k] = r01 * x + r11 * y + r21 * z
+        scratch[2, k] = r02 * x + r12 * y + r22 * z
+    for k in range(points_cam.shape[0]):
+        # Outside the grid, the nearest border cell is used; the gate rejects far points. Not as integers: not
+        # every processor converts to them several numbers at once.
+        a0 = np.floor(min(max((scratch[0, k] - o0) / step + 0.5, 0.0), d0 - 1.0))
+        a1 = np.floor(min(max((scratch[1, k] - o1) / step + 0.5, 0.0), d1 - 1.0))
+        a2 = np.floor(min(max((scratch[2, k] - o2) / step + 0.5, 0.0), d2 - 1.0))
         scratch[6, k] = (a0 * d1 + a1) * d2 + a2
     one, two = np.uint64(1), np.uint64(2)
     for k in range(points_cam.shape[0]):

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64, Int64
 from huepose.geometry.suppression import first_different
 from huepose.model.types import ReferenceModel
+from huepose.support.jit import jit
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,27 +80,34 @@ def different_poses(
 
 def different_answers(model: ReferenceModel, poses: Float64) -> Int64:
     """Indices (K,) of those poses (N, 4, 4), best first, that differ from all better ones that are kept."""
-    points = _points(model)
-    placed = [se3.apply(T, points) for T in poses]
+    stride = max(1, len(model.eval_points) // POINTS)
+    points = np.asarray(model.eval_points[::stride], dtype=np.float64)
     kept: list[int] = []
-    alike: list[list[Float64]] = []
-    for k, here in enumerate(placed):
-        near = RIGHT * model.diameter_m
-        if any(_distance(here, other) < near for group in alike for other in group):
-            continue
-        kept.append(k)
-        alike.append([here, *(se3.apply(poses[k] @ turn, points) for turn in model.equivalents[1:])])
+    alike = np.zeros((0, 4, 4))
+    for k, T in enumerate(poses):
+        if not _is_near(T, alike, points, RIGHT * model.diameter_m):
+            kept.append(k)
+            alike = np.concatenate([alike, T @ model.equivalents])
     return np.array(kept, dtype=np.int64)
 
 
-def _points(model: ReferenceModel) -> Float64:
-    """At most POINTS of the model's points (N, 3), evenly taken."""
-    stride = max(1, len(model.eval_points) // POINTS)
-    return np.asarray(model.eval_points[::stride], dtype=np.float64)
-
-
-def _distance(one: Float64, other: Float64) -> float:
-    return float(np.linalg.norm(one - other, axis=1).mean())
+@jit
+def _is_near(T: Float64, others: Float64, points: Float64, near_m: float) -> bool:
+    """Whether a pose (4, 4) moves points (N, 3) less than `near_m` away from another of (M, 4, 4), on
+    average."""
+    for m in range(others.shape[0]):
+        apart, total = T - others[m], 0.0
+        for k in range(points.shape[0]):
+            square = 0.0
+            for r in range(3):
+                off = apart[r, 3]
+                for c in range(3):
+                    off += apart[r, c] * points[k, c]
+                square += off * off
+            total += np.sqrt(square)
+        if total < near_m * points.shape[0]:
+            return True
+    return False
 
 
 HALF = 0.5

@@ -200,8 +200,8 @@ def _score_windows(
             best = -1e9
             for k in range(places):
                 now, apart = without_depth[g * places + k], deviation[g * places + k] * sharpness
-                if now + DEPTH_WEIGHT / (1.0 + apart) <= best:
-                    continue  # exp(-x) <= 1 / (1 + x)
+                if (now - best) * (1.0 + apart * (1.0 + 0.5 * apart)) <= -DEPTH_WEIGHT:
+                    continue  # exp(-x) <= 1 / (1 + x + x * x / 2): not even that would help.
                 total = now + DEPTH_WEIGHT * np.exp(-apart)
                 if total > best:
                     best = total

@@ -37,12 +37,12 @@ from huepose.tracking.types import Correction
 
 RATIOS = {
     "rocketlake": {"track": 2.8, "estimate": 5.0, "detect": 5.5},
-    "znver3": {"track": 2.65, "estimate": 4.2, "detect": 7.1},
+    "znver3": {"track": 2.65, "estimate": 4.0, "detect": 7.1},
 }
 """CPU time of ten steps with two objects, of one estimate, and of a search for two absent objects, in units
 of the fixed work; by processor (LLVM's names), since the ratios differ between processors."""
 
-CALLS = {"track": 15_600, "estimate": 7_810, "detect": 9_260}
+CALLS = {"track": 15_600, "estimate": 6_120, "detect": 9_070}
 """Function calls of each stage, Python 3.10 and 3.11; from 3.12 on comprehensions are no calls."""
 
 STAGES = ["track", "estimate", "detect"]

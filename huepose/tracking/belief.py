@@ -169,8 +169,18 @@ class Belief:
         """Compare a pose that the frame supports with its near-symmetric rotations (`Orientation.check`);
         `hurry`: without the comparison itself. Returns the number of costly proposals used."""
         if self.evidence < self._config.lost_quality:
+            self.orientation.better = None
             return 0.0
         return self.orientation.check(anchor, expected, first, self._view(first), frame, hurry)
+
+    def turn(self, hypotheses: Sequence[Hypothesis], spread: float, stamp_ns: int) -> None:
+        """After another orientation of the followed pose turned out to be more probable: now the first of
+        `hypotheses`."""
+        first = hypotheses[0]
+        sure = probability(first.log_odds) * share_of_first(self._subject, hypotheses)
+        self.evidence = min(self.evidence, sure)
+        self.limit(spread)
+        self.orientation.turn(first, self._view(first), stamp_ns)
 
     def find(self, hypotheses: Sequence[Hypothesis], spread: float, stamp_ns: int) -> None:
         """After the tracker found a lost object by itself. It is SUSPECT until the next frames confirm it."""

@@ -9,13 +9,16 @@ view distinguishes them."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from huepose.believe.logistic import probability
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.decisive import decisive_balance
 from huepose.judge.implied_light import implied_lights, shading_gains
 from huepose.judge.open_region import PreparedSurface
 from huepose.refine.photometric import COARSE, refine_all
@@ -40,12 +43,14 @@ than CHANCE."""
 class Orientation:
     """The orientation of one track. facing: the belief, None before the first pose; sure, sure_ns: the last
     sure pose, from which rotation is measured, and its timestamp; turned_ns: the last timestamp at which the
-    object can have made a near-symmetric rotation unnoticed."""
+    object can have made a near-symmetric rotation unnoticed; better: what the last comparison found to be
+    more probable."""
 
     def __init__(self, subject: Subject, config: TrackerConfig) -> None:
         self.facing: Facing | None = None
         self.sure: Hypothesis | None = None
         self.sure_ns = self.turned_ns = NEVER_NS
+        self.better: Better | None = None
         self._subject, self._config = subject, config
 
     @property
@@ -91,6 +96,11 @@ class Orientation:
     def seen_from(self, T_new_old: Float64) -> None:
         """Continue in the axes of a camera that has moved (as in `Hypothesis.seen_from`)."""
         self.sure = None if self.sure is None else self.sure.seen_from(T_new_old)
+
+    def turn(self, first: Hypothesis, view: Float64, stamp_ns: int) -> None:
+        """Continue with another orientation, which the next frames have to confirm."""
+        self.facing, self.better = Facing.of(0.5, view, len(self._subject.other_turns)), None
+        self.see(first, stamp_ns)
 
     def see(self, first: Hypothesis, stamp_ns: int) -> None:
         """Take this pose as sure: rotation is measured from here."""
@@ -148,18 +158,24 @@ class Orientation:
         if new.any():
             facing = facing.jumped(view, new)
             self.see(first, frame.stamp_ns)  # This doubt is known from here on.
-        self.facing = facing
+        self.facing, self.better = facing, None
         return 0.0 if hurry else self.ask(first, view, frame, anchor.usual.light)
 
     def ask(self, first: Hypothesis, view: Float64, frame: RgbdFrame, light: Float64 | None) -> float:
         """Compare a pose with the best of the doubted near-symmetric rotations, if the orientation is in
         doubt and this view may give new evidence. Returns the number of costly proposals used."""
+        self.better = None
         if self.facing is None or not self.facing.open(view):
             return 0.0
         turns = self._subject.other_turns[self.facing.doubted]
         rival = best_rival(self._subject, first, turns, frame, light)
-        margin = np.inf if rival is None else lead(self._subject.surface, first, rival, frame)
+        margin, decisive = np.inf, 0.0
+        if rival is not None:
+            decisive = by_decisive_pixels(self._subject, first, rival, frame)
+            margin = lead(self._subject.surface, first, rival, frame, decisive)
         self.facing = self.facing.compared(margin, view)
+        if rival is not None and max(decisive, margin) < -LEFT and self.facing.value < 0.0:
+            self.better = Better(rival, -margin)
         return COSTS if len(turns) else 0.0
 
     def impossible(self, found: Hypothesis, followed: Hypothesis, gone_s: float, least_lead: float) -> bool:
@@ -199,6 +215,12 @@ SHARPNESS = 24.0
 likelihood of the right one in 1,608 comparisons on rendered sequences of the split `fit` (`studies.stress`:
 hard, household and YCB objects; docs/tracking_measured.md)."""
 
+DECIDES, CONFIRMS = 0.3, 0.08
+"""In units of a total: what it counts if all pixels that only one of two poses explains are on its side (7
+log-odds), and the largest lead that they give. By 364 comparisons of a pose with its best near-symmetric
+rotation (docs/tracking_measured.md). Alone and from one viewpoint they confirm no orientation: the other one
+may be wrong as well."""
+
 OUTWEIGHS = 2.0 * MOST_JUMP / SHARPNESS
 """A near-symmetric rotation that leads by this much of a total is accepted, even if nothing rotates so fast:
 it is twice the most that a motion counts against a pose. Timestamps may be wrong, or objects are exchanged
@@ -206,6 +228,10 @@ while no frame shows them."""
 
 CHANCE = 0.025
 """Differences of totals under this are chance on rendered sequences of the split `fit`."""
+
+LEFT = 0.06
+"""An orientation is left for another one that leads by this much of a total, four times as probable, if the
+decisive pixels alone say so, too. Colours alone do not: they may be those of the light."""
 
 SAME_VIEW = np.radians(8.0)
 """A viewpoint that differs by less than this gives no new evidence."""
@@ -224,6 +250,14 @@ COSTS = 1.0
 
 SETTLED, MOST = odds_of(0.99), 6.0
 """Log-odds above which the orientation is settled (99 %), and their upper bound."""
+
+
+class Better(NamedTuple):
+    """A near-symmetric rotation that is more probable than the followed pose, and by how much of a total it
+    leads."""
+
+    pose: Hypothesis
+    leads: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,9 +356,11 @@ def best_rival(
     return None
 
 
-def lead(surface: PreparedSurface, first: Hypothesis, rival: Hypothesis, frame: RgbdFrame) -> float:
-    """By how much the total of a pose exceeds that of a near-symmetric rotation, each in the light that it
-    implies."""
+def lead(
+    surface: PreparedSurface, first: Hypothesis, rival: Hypothesis, frame: RgbdFrame, decisive: float = 0.0
+) -> float:
+    """By how much of a total a pose is more probable than a near-symmetric rotation of it: the difference of
+    their totals, each in the light that it implies, and `decisive` (`by_decisive_pixels`)."""
     gains = np.zeros(2)
     for k, pose in enumerate((first, rival)):
         region = region_of(surface, frame, pose.T_cam_obj, None)
@@ -333,7 +369,18 @@ def lead(surface: PreparedSurface, first: Hypothesis, rival: Hypothesis, frame: 
             lights = implied_lights(surface.arrays, region.arrays, at)
             gains[k] = shading_gains(surface.arrays, region.arrays, at, lights)[0]
     more = beyond_chance(gains[:1] - gains[1:])
-    return float(first.terms.total - rival.terms.total + more[0])
+    leads = float(first.terms.total - rival.terms.total + more[0])
+    limit = max(abs(leads), CONFIRMS)
+    return min(max(leads + decisive, -limit), limit)
+
+
+def by_decisive_pixels(subject: Subject, first: Hypothesis, rival: Hypothesis, frame: RgbdFrame) -> float:
+    """What the pixels that only one of two poses explains say for the first, in units of a total."""
+    poses = first.T_cam_obj, rival.T_cam_obj
+    around = [box for T in poses if (box := subject.surface.box(T, frame.camera)) is not None]
+    if not around:
+        return 0.0
+    return DECIDES * decisive_balance(subject.mesh, *poses, Box.around(*around), frame)
 
 
 def reached(turns: Float64, T_cam_obj: Float64, expected: Float64, radians: float) -> Bool:

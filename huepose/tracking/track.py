@@ -27,6 +27,7 @@ from huepose.tracking.looks import LOOK_S, looks
 from huepose.tracking.lost import MORE, MOSTLY, found_at_last_place, found_elsewhere, visible_share
 from huepose.tracking.motion import Reach, predicted, same_motion
 from huepose.tracking.opinions import opinions, weighed
+from huepose.tracking.orientation import SHARPNESS, Better
 from huepose.tracking.persistence import Persistence
 from huepose.tracking.refined import unmoved
 from huepose.tracking.stages import END, NEARBY
@@ -119,6 +120,8 @@ class Track:
         hurry = short and (tries < 1.0 or (found.tried > 0 and tries < 2.0))
         first = self.hypotheses[0]
         tried = found.tried + belief.check_orientation(anchor, found.expected, first, frame, hurry)
+        if orientation.better is not None and belief.known:
+            first = self._turn(orientation.better, anchor.first.log_odds, frame)
         if belief.evidence >= self._config.tracking_quality:
             orientation.see(first, frame.stamp_ns)
         return tried
@@ -212,6 +215,21 @@ class Track:
         persistence = persistence.reached(found.begun, END, found.tried > 0)
         self._persistence = persistence if found.doubtful else Persistence(begun=persistence.begun)
         self._place = found.place
+
+    def _turn(self, better: Better, before: float, frame: RgbdFrame) -> Hypothesis:
+        """Continue with another orientation of the followed pose. before: log-odds of the last frame. Returns
+        the first hypothesis."""
+        left, rest = self.hypotheses[0], self.hypotheses[1:]
+        T = self.subject.like(better.pose.T_cam_obj, left.T_cam_obj)
+        pose, usual = replace(better.pose, T_cam_obj=T), self.belief.usual
+        first = weighed(self.subject, pose, frame, usual, before, velocity=left.velocity)
+        # Their totals hardly differ; only this comparison tells the two apart.
+        first = replace(first, log_odds=max(first.log_odds, left.log_odds))
+        left = replace(left, log_odds=first.log_odds - SHARPNESS * better.leads)
+        self.hypotheses = distinct(self.subject, [first, left, *rest])
+        self.covariance, spread = uncertainty(self.subject, first, frame)
+        self.belief.turn(self.hypotheses, spread, frame.stamp_ns)
+        return first
 
     def _coast(self, before: Hypothesis) -> None:
         """Handle a frame that does not support the pose: follow the prediction if hardly anything is

@@ -30,7 +30,7 @@ def plain_box() -> ReferenceModel:
 @pytest.fixture(scope="session")
 def half_plain_can() -> ReferenceModel:
     """A can with a label on one half and lids; the other half is of one colour."""
-    return onboarded(builtin_meshes(0)["half_plain_can"], "half_plain_can", searched=False)
+    return onboarded(builtin_meshes(0)["half_plain_can"], "half_plain_can")
 
 
 @pytest.fixture(scope="session")

@@ -120,7 +120,7 @@ class Track:
         hurry = short and (tries < 1.0 or (found.tried > 0 and tries < 2.0))
         first = self.hypotheses[0]
         tried = found.tried + belief.check_orientation(anchor, found.expected, first, frame, hurry)
-        if orientation.better is not None and belief.known:
+        if orientation.better is not None:
             first = self._turn(orientation.better, anchor.first.log_odds, frame)
         if belief.evidence >= self._config.tracking_quality:
             orientation.see(first, frame.stamp_ns)

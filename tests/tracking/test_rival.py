@@ -28,11 +28,11 @@ from huepose.tracking.orientation import (
     Orientation,
     alike,
     another_opinion,
-    best_rival,
     lead_to_turn,
     reached,
 )
 from huepose.tracking.refined import best_of
+from huepose.tracking.rival import best_rival
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt, Verdict
 from huepose.tracking.uncertainty import uncertainty

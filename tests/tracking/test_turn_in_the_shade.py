@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from huepose.tracking.orientation import lead
 from huepose.tracking.refined import unmoved
+from huepose.tracking.rival import lead
 from huepose.tracking.subject import Subject
 from tests.conftest import TakePicture
 from tests.judge.test_implied_light import in_lamplight

@@ -10,9 +10,10 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.box import Box
-from huepose.geometry.camera import Camera, depth_noise_m
+from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.mesh import Mesh
+from huepose.judge.kernel_arrays import tolerance_at
 from huepose.rendering.render import render_depth
 
 MOST_PX = 128
@@ -50,7 +51,7 @@ def decisive_balance(mesh: Mesh, T_a: Float64, T_b: Float64, box: Box, frame: Rg
     )
     a, b = (render_depth(mesh, T, every) for T in (T_a, T_b))
     shown = 0.5 * float((a > 0.0).sum() + (b > 0.0).sum())
-    tolerance = max(LEAST_M, SIGMAS * depth_noise_m(float(se3.apply(T_a, mesh.centre[None])[0, 2])))
+    tolerance = tolerance_at(LEAST_M, SIGMAS, float(se3.apply(T_a, mesh.centre[None])[0, 2]))
     a[a == 0.0], b[b == 0.0] = NOWHERE_M, NOWHERE_M
     decisive = (depth > 0.0) & (np.abs(a - b) > 2.0 * tolerance)
     for_a = int((decisive & (np.abs(depth - a) < tolerance)).sum())

@@ -22,7 +22,7 @@ from huepose.tracking.evidence import Identity, TrackState, next_state, turned_o
 from huepose.tracking.hypothesis import FOLLOWED, LOOKED_FOR, Anchor, Hypothesis, same_pose, share_of_first
 from huepose.tracking.looks import looks
 from huepose.tracking.motion import jump_since
-from huepose.tracking.orientation import Orientation, another_opinion
+from huepose.tracking.orientation import Better, Orientation, another_opinion
 from huepose.tracking.stamps import NEVER_NS
 from huepose.tracking.step import Advance
 from huepose.tracking.subject import Subject
@@ -116,7 +116,7 @@ class Belief:
             return 0.0
         view = self._view(first)
         self.orientation.begin(quality, view)
-        return self.orientation.ask(first, view, frame, self.usual.light)
+        return self.orientation.ask(first, view, frame, self.usual.light)[0]
 
     def weigh(
         self,
@@ -165,12 +165,11 @@ class Belief:
 
     def check_orientation(
         self, anchor: Anchor, expected: Float64 | None, first: Hypothesis, frame: RgbdFrame, hurry: bool
-    ) -> float:
+    ) -> tuple[float, Better | None]:
         """Compare a pose that the frame supports with its near-symmetric rotations (`Orientation.check`);
-        `hurry`: without the comparison itself. Returns the number of costly proposals used."""
+        `hurry`: without the comparison itself. Returns what `Orientation.ask` does."""
         if self.evidence < self._config.lost_quality:
-            self.orientation.better = None
-            return 0.0
+            return 0.0, None
         return self.orientation.check(anchor, expected, first, self._view(first), frame, hurry)
 
     def turn(self, hypotheses: Sequence[Hypothesis], spread: float, stamp_ns: int) -> None:

@@ -37,14 +37,12 @@ than CHANCE."""
 class Orientation:
     """The orientation of one track. facing: the belief, None before the first pose; sure, sure_ns: the last
     sure pose, from which rotation is measured, and its timestamp; turned_ns: the last timestamp at which the
-    object can have made a near-symmetric rotation unnoticed; better: what the last comparison found to be
-    more probable."""
+    object can have made a near-symmetric rotation unnoticed."""
 
     def __init__(self, subject: Subject, config: TrackerConfig) -> None:
         self.facing: Facing | None = None
         self.sure: Hypothesis | None = None
         self.sure_ns = self.turned_ns = NEVER_NS
-        self.better: Better | None = None
         self._subject, self._config = subject, config
 
     @property
@@ -93,7 +91,7 @@ class Orientation:
 
     def turn(self, first: Hypothesis, view: Float64, stamp_ns: int) -> None:
         """Continue with another orientation, which the next frames have to confirm."""
-        self.facing, self.better = Facing.of(0.5, view, len(self._subject.other_turns)), None
+        self.facing = Facing.of(0.5, view, len(self._subject.other_turns))
         self.see(first, stamp_ns)
 
     def see(self, first: Hypothesis, stamp_ns: int) -> None:
@@ -121,12 +119,12 @@ class Orientation:
         view: Float64,
         frame: RgbdFrame,
         hurry: bool,
-    ) -> float:
+    ) -> tuple[float, Better | None]:
         """Compare a pose with its near-symmetric rotations. If the object can have made one of them since it
         was last seen, the log-odds of its orientation drop to at most 0; an object at rest has not rotated.
         If the orientation was settled before, only those rotations are compared, else those doubted before,
         too; with `hurry` none is. expected (4, 4): predicted from the anchor's first pose, if it was. Returns
-        the number of costly proposals used."""
+        what `ask` does."""
         # Poses while it was in doubt may have been wrong: rotation is measured from the last sure one.
         before, since_ns = anchor.first, anchor.frame.stamp_ns
         if self.sure is not None:
@@ -152,25 +150,28 @@ class Orientation:
         if new.any():
             facing = facing.jumped(view, new)
             self.see(first, frame.stamp_ns)  # This doubt is known from here on.
-        self.facing, self.better = facing, None
-        return 0.0 if hurry else self.ask(first, view, frame, anchor.usual.light)
+        self.facing = facing
+        return (0.0, None) if hurry else self.ask(first, view, frame, anchor.usual.light)
 
-    def ask(self, first: Hypothesis, view: Float64, frame: RgbdFrame, light: Float64 | None) -> float:
+    def ask(
+        self, first: Hypothesis, view: Float64, frame: RgbdFrame, light: Float64 | None
+    ) -> tuple[float, Better | None]:
         """Compare a pose with the best of the doubted near-symmetric rotations, if the orientation is in
-        doubt and this view may give new evidence. Returns the number of costly proposals used."""
-        self.better = None
+        doubt and this view may give new evidence. Returns the number of costly proposals used, and the other
+        rotation if it is the one to follow."""
         if self.facing is None or not self.facing.open(view):
-            return 0.0
+            return 0.0, None
         turns = self._subject.other_turns[self.facing.doubted]
         rival = best_rival(self._subject, first, turns, frame, light)
-        margin, decisive = np.inf, 0.0
-        if rival is not None:
-            decisive = by_decisive_pixels(self._subject, first, rival, frame)
-            margin = lead(self._subject.surface, first, rival, frame, decisive)
+        costs = COSTS if len(turns) else 0.0
+        if rival is None:
+            self.facing = self.facing.compared(np.inf, view)
+            return costs, None
+        decisive = by_decisive_pixels(self._subject, first, rival, frame)
+        margin = lead(self._subject.surface, first, rival, frame, decisive)
         self.facing = self.facing.compared(margin, view)
-        if rival is not None and max(decisive, margin) < -LEFT and self.facing.value < 0.0:
-            self.better = Better(rival, -margin)
-        return COSTS if len(turns) else 0.0
+        left = max(decisive, margin) < -LEFT and self.facing.value < 0.0
+        return costs, Better(rival, -margin) if left else None
 
     def impossible(self, found: Hypothesis, followed: Hypothesis, gone_s: float, least_lead: float) -> bool:
         """Whether a proposal is about a near-symmetric rotation of the followed pose that the object cannot

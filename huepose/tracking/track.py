@@ -119,12 +119,12 @@ class Track:
         short = self._apart_s <= self._config.long_step_s
         hurry = short and (tries < 1.0 or (found.tried > 0 and tries < 2.0))
         first = self.hypotheses[0]
-        tried = found.tried + belief.check_orientation(anchor, found.expected, first, frame, hurry)
-        if orientation.better is not None:
-            first = self._turn(orientation.better, anchor.first.log_odds, frame)
+        asked, better = belief.check_orientation(anchor, found.expected, first, frame, hurry)
+        if better is not None:
+            first = self._turn(better, anchor.first.log_odds, frame)
         if belief.evidence >= self._config.tracking_quality:
             orientation.see(first, frame.stamp_ns)
-        return tried
+        return found.tried + asked
 
     def _look_from(self, frame: RgbdFrame) -> None:
         """Transform stored poses to the present camera axes, as for an object at rest. If the camera motion
@@ -195,7 +195,7 @@ class Track:
         self.covariance, spread = uncertainty(self.subject, first, frame)
         self._begin()
         self.belief.find(found, spread, frame.stamp_ns)
-        return tried + self.belief.check_orientation(anchor, None, first, frame, hurry=False)
+        return tried + self.belief.check_orientation(anchor, None, first, frame, hurry=False)[0]
 
     def _take(self, anchor: Anchor, found: Advance, frame: RgbdFrame) -> None:
         """Give each hypothesis its log-odds, from the image, the last frame and the motion that it implies,

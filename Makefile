@@ -42,9 +42,11 @@ test-pipelines:
 test-small:
 	@.venv/bin/pytest -m "live and not pipeline"
 
-# Compiles the test files for Python. Else each process of `make test` would, all at the same time.
+# Compiles the test files for Python, and the kernels of the paper's methods, which setup leaves out. Else each process of
+# `make test` would, all at the same time.
 collected: packages
 	@said=$$(.venv/bin/pytest --collect-only) || { echo "$$said"; exit 1; }
+	@said=$$(.venv/bin/pytest tests/paper) || { echo "$$said"; exit 1; }
 
 lint: packages
 	@.venv/bin/ruff check .

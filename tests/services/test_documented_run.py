@@ -57,6 +57,9 @@ SAYS = {
 }
 """What the other commands must have printed at their end, by their beginning."""
 
+ONBOARD = "huepose onboard examples"
+"""The command whose reference model `huepose new` has made as well: it is run in a test of its own."""
+
 _PIPELINES = ("huepose demo", "huepose up")
 _TIMEOUT_S = 180.0
 
@@ -223,13 +226,31 @@ def test_the_commands_do_what_the_pages_say(tmp_path: Path) -> None:
         if probe.connect_ex(("127.0.0.1", 9090)) == 0:
             pytest.skip("the page's port, 9090, is taken")
     prepare(tmp_path)
+    (tmp_path / "bundles").symlink_to("tea_box/bundles")
     with reader(tmp_path) as someone:
-        done = set()
+        done = {meant(line) for line in onboarding()}
         for line in (line for page in PAGES for line in commands(page)):
             if begins(line, LEFT_OUT) is None and meant(line) not in done:
                 someone.follow(line)
                 done.add(meant(line))
     assert (tmp_path / "out.png").stat().st_size > 10_000
+
+
+def onboarding() -> list[str]:
+    """The lines that begin with ONBOARD, each once."""
+    lines = (line for page in PAGES for line in commands(page))
+    return list(dict.fromkeys(line for line in lines if line.startswith(ONBOARD)))
+
+
+@pytest.mark.live
+@pytest.mark.timeout(300)
+@pytest.mark.skipif(not ACTIVATE.exists(), reason="there is no .venv: make setup")
+def test_a_mesh_is_onboarded_as_the_page_says(tmp_path: Path) -> None:
+    prepare(tmp_path)
+    with reader(tmp_path) as someone:
+        for line in onboarding():
+            someone.follow(line)
+    assert (tmp_path / "bundles" / "tea_box.huepose").exists()
 
 
 FOLDER = ("docs/cameras.md", "A folder of images")

@@ -303,7 +303,6 @@ def test_a_waiting_command_finds_a_pipeline_that_starts_at_another_port(
 
 
 @pytest.mark.live
-@pytest.mark.pipeline
 @pytest.mark.timeout(900)
 def test_a_live_pipeline_is_computed_again_bit_by_bit(huepose, wait_until, tmp_path):
     """At 10 Hz, because a busy computer may be too slow for 30. The recording begins before the pipeline, so

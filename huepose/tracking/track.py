@@ -331,10 +331,10 @@ class Track:
         pose before the correction stays as a hypothesis that the next frames may confirm.
 
         Raises ValueError if the history does not reach back without a gap."""
-        before = self.hypotheses[0]
-        moved = self.subject.like(
-            self.history.replay(correction.stamp_ns, correction.T_cam_obj), before.T_cam_obj
-        )
+        before, old = self.hypotheses[0], self.history.at(correction.stamp_ns)
+        # Of the poses that look the same the one that was followed then, so the whole history is.
+        T = correction.T_cam_obj if old is None else self.subject.like(correction.T_cam_obj, old)
+        moved = self.history.replay(correction.stamp_ns, T)
         velocity = same_motion(self.subject.surface, before.velocity, before.T_cam_obj, moved)
         odds = max(evidence.odds_of(correction.quality), before.log_odds)
         corrected = replace(before, T_cam_obj=moved, velocity=velocity, source="correction", log_odds=odds)

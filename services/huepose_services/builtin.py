@@ -24,13 +24,18 @@ from huepose.support.kept import UNUSED_DAYS, unused
 from huepose.support.progress import progress
 
 _MAKERS = (
+    "geometry",
+    "rendering",
     "onboarding",
     "model",
     "colorpair",
     "propose/templates.py",
     "propose/features.py",
     "propose/keypoint_reference.py",
+    "refine/point_to_plane.py",
+    "refine/solver.py",
 )
+"""The code that makes models, below `huepose`: packages and modules."""
 
 _LOCK = ".lock"
 

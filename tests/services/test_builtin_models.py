@@ -2,6 +2,8 @@
 
 import fcntl
 import os
+import subprocess
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -44,3 +46,13 @@ def test_unused_models_are_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     os.utime(now / ".lock", (0, 0))
     builtin.builtin_bundles.__wrapped__(0)
     assert (now / ".lock").stat().st_mtime > time.time() - 600
+
+
+def test_the_name_of_the_folder_depends_on_all_code_that_makes_models() -> None:
+    """But not on `support`, which is about files and messages, or on packages without code of their own."""
+    code = "import sys, huepose.onboarding.reference as _; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = [name.split(".")[1:] for name in done.stdout.split() if name.startswith("huepose.")]
+    makers = [maker.removesuffix(".py").split("/") for maker in builtin._MAKERS]
+    known = [*makers, ["support"], ["propose"], ["refine"]]
+    assert [name for name in loaded if name not in known and name[:1] not in [*makers, ["support"]]] == []

@@ -28,6 +28,24 @@ def test_a_late_perfect_pose_replays_exactly(started, film, path) -> None:
     assert pose.applied_correction_seq == 2
 
 
+def test_of_poses_that_look_the_same_a_correction_keeps_the_one_that_was_followed(
+    tea_box, film, path
+) -> None:
+    """In the poses of all frames since then, not only in the last one."""
+    half = se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    tracker = Tracker({"tea_box": replace(tea_box, equivalents=np.stack([np.eye(4), half]))})
+    frames = film(4)
+    tracker.correct(Correction.first("tea_box", path(0), frames[0], 1.0))
+    for frame in frames:
+        tracker.step(frame)
+    other = correction(frames[2], path(2) @ half, 2, Verdict.CORRECT)
+    assert tracker.correct(other) is Applied.APPLIED
+    (pose,) = tracker.poses()
+    track = tracker._tracks["tea_box", 0]
+    for T, number in ((pose.T_cam_obj, 3), (track.pose_near(frames[2].stamp_ns), 2)):
+        assert se3.rotation_angle(T, path(number)) < np.radians(0.5)
+
+
 def test_a_small_correction_does_not_make_a_sure_object_doubtful(started, film, path) -> None:
     frames = film(8)
     near = correction(frames[4], path(4), 2, Verdict.CORRECT, quality=0.5)

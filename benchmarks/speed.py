@@ -133,7 +133,7 @@ def slowed(work: Work, share: float) -> Work:
 
 
 def slower(ratios: Mapping[str, float], known: Mapping[str, float]) -> dict[str, float]:
-    """The stages that cost too much, as multiples of the known ratios."""
+    """The stages that cost too much, as multiples of the known ratios; none without one."""
     return {
         name: found / known[name] for name, found in ratios.items() if found > ALARM * known.get(name, np.inf)
     }

@@ -51,9 +51,8 @@ class Pursuit:
     def __init__(
         self, correction: Correction, subject: Subject, config: TrackerConfig, before: Track | None = None
     ) -> None:
-        near = None if before is None else before.pose_near(correction.stamp_ns)
-        if near is not None:
-            correction = replace(correction, T_cam_obj=subject.like(correction.T_cam_obj, near))
+        if before is not None:
+            correction = replace(correction, T_cam_obj=before.as_followed(correction))
         self.correction = correction
         self.track = Track(subject, correction.object, correction.instance, config)
         if before is not None:

@@ -153,6 +153,11 @@ class Track:
         last = self.T_cam_obj if self.hypotheses or sure is None else sure.T_cam_obj
         return last if there is None else there
 
+    def as_followed(self, correction: Correction) -> Float64:
+        """The pose (4, 4) of a correction; of those that look the same, the one that was followed then."""
+        near = self.pose_near(correction.stamp_ns)
+        return correction.T_cam_obj if near is None else self.subject.like(correction.T_cam_obj, near)
+
     def _carry(self, T_new_old: Float64) -> None:
         """Transform it to other axes by T_new_old (4, 4)."""
         self.hypotheses = tuple(h.seen_from(T_new_old) for h in self.hypotheses)
@@ -331,10 +336,8 @@ class Track:
         pose before the correction stays as a hypothesis that the next frames may confirm.
 
         Raises ValueError if the history does not reach back without a gap."""
-        before, old = self.hypotheses[0], self.history.at(correction.stamp_ns)
-        # Of the poses that look the same the one that was followed then, so the whole history is.
-        T = correction.T_cam_obj if old is None else self.subject.like(correction.T_cam_obj, old)
-        moved = self.history.replay(correction.stamp_ns, T)
+        before = self.hypotheses[0]
+        moved = self.history.replay(correction.stamp_ns, self.as_followed(correction))
         velocity = same_motion(self.subject.surface, before.velocity, before.T_cam_obj, moved)
         odds = max(evidence.odds_of(correction.quality), before.log_odds)
         corrected = replace(before, T_cam_obj=moved, velocity=velocity, source="correction", log_odds=odds)

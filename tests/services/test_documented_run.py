@@ -71,6 +71,16 @@ def commands(page: str, section: str = "") -> list[str]:
     return [line for block in blocks for line in re.sub(r"\\\n\s*", " ", block).splitlines() if line.strip()]
 
 
+def lines_of_pages() -> list[str]:
+    """The lines of PAGES, in their order."""
+    return [line for page in PAGES for line in commands(page)]
+
+
+def onboarding() -> list[str]:
+    """Those that begin with ONBOARD, each once."""
+    return list(dict.fromkeys(line for line in lines_of_pages() if line.startswith(ONBOARD)))
+
+
 def text_of(page: str, section: str = "") -> str:
     """A page, or the part of it under a heading."""
     text = (ROOT / page).read_text()
@@ -208,7 +218,7 @@ def prepare(folder: Path) -> None:
 
 
 def test_lines_that_are_left_out_exist_and_all_others_are_commands_of_huepose():
-    lines = [line for page in PAGES for line in commands(page)]
+    lines = lines_of_pages()
     assert not [start for start in LEFT_OUT if not any(line.startswith(start) for line in lines)]
     run = [line for line in lines if begins(line, LEFT_OUT) is None]
     assert len(run) > 15
@@ -226,20 +236,14 @@ def test_the_commands_do_what_the_pages_say(tmp_path: Path) -> None:
         if probe.connect_ex(("127.0.0.1", 9090)) == 0:
             pytest.skip("the page's port, 9090, is taken")
     prepare(tmp_path)
-    (tmp_path / "bundles").symlink_to("tea_box/bundles")
+    (tmp_path / "bundles").symlink_to("tea_box/bundles")  # in place of what ONBOARD makes
     with reader(tmp_path) as someone:
         done = {meant(line) for line in onboarding()}
-        for line in (line for page in PAGES for line in commands(page)):
+        for line in lines_of_pages():
             if begins(line, LEFT_OUT) is None and meant(line) not in done:
                 someone.follow(line)
                 done.add(meant(line))
     assert (tmp_path / "out.png").stat().st_size > 10_000
-
-
-def onboarding() -> list[str]:
-    """The lines that begin with ONBOARD, each once."""
-    lines = (line for page in PAGES for line in commands(page))
-    return list(dict.fromkeys(line for line in lines if line.startswith(ONBOARD)))
 
 
 @pytest.mark.live

@@ -3,11 +3,12 @@
 # Where containers set it, every process would compile its imports anew, for more than a second.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help packages setup demo test test-pipelines test-small collected lint docs bench dist bundle audit clean
+.PHONY: help packages setup demo test test-pipelines test-small collected oldest newest lint docs bench dist bundle audit clean
 
 help:
 	@echo "make demo    the whole pipeline on a built-in scene, with accuracy and latency at the end"
 	@echo "make test    all tests"
+	@echo "make oldest  all tests with the oldest versions that pyproject.toml allows; make newest: with the newest"
 	@echo "make setup   .venv with everything (command line: .venv/bin/huepose)"
 	@echo "make lint    style, types, the import contract, insecure code, secrets"
 	@echo "make docs    the documentation as a site in build/docs"
@@ -47,6 +48,14 @@ test-small:
 collected: packages
 	@said=$$(.venv/bin/pytest --collect-only) || { echo "$$said"; exit 1; }
 	@said=$$(.venv/bin/pytest tests/paper/extended/test_colorpair.py) || { echo "$$said"; exit 1; }
+
+# In a clone of the last commit. With another Python: make oldest PYTHON=python3.10
+oldest: RESOLVED = --resolution lowest-direct
+newest: RESOLVED = --upgrade
+oldest newest: packages
+	@rm -rf build/$@ && git clone -q . build/$@
+	@cd build/$@ && $(CURDIR)/.tools/uv-*/bin/uv lock --quiet $(RESOLVED)
+	@$(MAKE) --no-print-directory -C build/$@ test
 
 lint: packages
 	@.venv/bin/ruff check .

@@ -40,5 +40,7 @@ def test_the_site_is_built_without_a_warning_and_explains_every_key(tmp_path):
 
 @pytest.mark.parametrize("script", sorted((ROOT / "docs").glob("make_*.py")), ids=lambda path: path.name)
 def test_the_scripts_that_make_the_pages_images_find_what_they_import(script):
+    if script.name == "make_graph.py" and sys.version_info < (3, 11):
+        pytest.skip("import-linter, which brings grimp, needs Python 3.11")
     spec = importlib.util.spec_from_file_location(script.stem, script)
     spec.loader.exec_module(importlib.util.module_from_spec(spec))

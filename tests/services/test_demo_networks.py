@@ -33,7 +33,9 @@ def test_a_demo_that_cannot_go_on_leaves_no_folder(why, tmp_path, monkeypatch):
     ):
         monkeypatch.setattr(f"huepose_services.demo.run.{name}", does)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    assert _code(["demo"]) != 0
+    with (tmp_path / "output").open("w") as output:  # nothing more is written to a closed terminal
+        monkeypatch.setattr("sys.stdout", output)
+        assert _code(["demo"]) != 0
     assert not list(tmp_path.glob("huepose-demo-*"))
 
 

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import sys
 from pathlib import Path
@@ -19,9 +20,14 @@ from huepose_protos.examples import messages
 
 def json_schema(kind: type) -> dict[str, Any]:
     """The JSON Schema of a message. Its regular expressions are those of ECMA 262, where `$` means what `\\Z`
-    means in Python."""
+    means in Python. Descriptions lose the indents of the docstrings, which msgspec before 0.23 keeps."""
     text = json.dumps(msgspec.json.schema(kind)).replace(r"\\Z", "$")
-    return dict(json.loads(text))
+    return dict(json.loads(text, object_hook=_without_indents))
+
+
+def _without_indents(schema: dict[str, Any]) -> dict[str, Any]:
+    text = schema.get("description")
+    return schema if not isinstance(text, str) else schema | {"description": inspect.cleandoc(text)}
 
 
 def files() -> dict[str, bytes]:

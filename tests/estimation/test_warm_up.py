@@ -19,6 +19,7 @@ from tests.boxes import box_of
 from tests.kernels import compiled
 
 
+@pytest.mark.timeout(300)  # without `make collected` it compiles the kernels of colour pairs
 @pytest.mark.parametrize("method", ["full", "colorpair"])
 def test_no_kernel_is_compiled_after_the_warm_up(
     method: Method, tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray

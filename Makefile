@@ -52,9 +52,9 @@ collected: packages
 # In a clone of the last commit. With another Python: make oldest PYTHON=python3.10
 oldest: RESOLVED = --resolution lowest-direct
 newest: RESOLVED = --upgrade
-oldest newest: packages
+oldest newest:
 	@rm -rf build/$@ && git clone -q . build/$@
-	@cd build/$@ && $(CURDIR)/.tools/uv-*/bin/uv lock --quiet $(RESOLVED)
+	@cd build/$@ && ./deploy/setup.sh && .tools/uv-*/bin/uv lock --quiet $(RESOLVED)
 	@$(MAKE) --no-print-directory -C build/$@ test
 
 lint: packages

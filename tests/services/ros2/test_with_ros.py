@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import fields, is_dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 
 from huepose_protos.examples import example
-from huepose_protos.messages import CameraMessage, Mount, PoseMessage
+from huepose_protos.messages import CameraMessage, PoseMessage
 from huepose_services.ros2.messages import (
     CAMERA,
     POSE,
@@ -33,30 +34,29 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of lark
 
 SHARE = Path(sys.prefix, "share")
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
-MOUNT = Mount(parent="base_link", translation=(1.0, 2.0, 3.0), quaternion=(0.0, 0.0, 0.5**0.5, 0.5**0.5))
-SEEN = msgspec.structs.replace(example(CameraMessage), mount=MOUNT)
 
 
 def examples() -> dict[str, Any]:
+    pose, camera = example(PoseMessage), example(CameraMessage)
     return {
-        POSE: pose_stamped(example(PoseMessage)),
-        CAMERA: camera_info(SEEN, SEEN.publish_ns),
-        TRANSFORM: transforms([], SEEN).transforms[0],
+        POSE: pose_stamped(pose),
+        CAMERA: camera_info(camera, camera.publish_ns),
+        TRANSFORM: transforms([pose], None).transforms[0],
     }
 
 
 def read_by_ros(kind: str, payload: bytes) -> Any:
     package, _, name = kind.split("/")
-    module = pytest.importorskip(f"{package}.msg")
-    return serialization.deserialize_message(payload, getattr(module, name))
+    return serialization.deserialize_message(payload, getattr(import_module(f"{package}.msg"), name))
 
 
 def values(message: Any) -> Any:
     """A message of rosbags or of ROS 2 as nested lists of numbers and strings."""
     if hasattr(message, "get_fields_and_field_types"):
         return [values(getattr(message, name)) for name in message.get_fields_and_field_types()]
-    if hasattr(message, "__msgtype__"):
-        return [values(getattr(message, name)) for name in message.__dataclass_fields__ if name[0] != "_"]
+    if is_dataclass(message):
+        names = [field.name for field in fields(message) if field.name != "__msgtype__"]
+        return [values(getattr(message, name)) for name in names]
     return list(message) if hasattr(message, "__len__") and not isinstance(message, str) else message
 
 

@@ -159,8 +159,9 @@ def two_hosts(folder):
 
 
 def _reset(folder, name):
+    """A command that runs beside the test: messages have the time at which they are read."""
     environment = os.environ | {FOLDER: str(folder / "run_robot")}
-    subprocess.run([*_HUEPOSE.split(), "objects", "reset", name], env=environment, check=True, timeout=30.0)
+    return _process([*_HUEPOSE.split(), "objects", "reset", name], env=environment)
 
 
 def test_tracking_goes_on_alone_while_the_cable_is_cut_and_is_corrected_afterwards(tmp_path):
@@ -176,9 +177,10 @@ def test_tracking_goes_on_alone_while_the_cable_is_cut_and_is_corrected_afterwar
         # Cut: there is a warning, tracking goes on, a lost object stays lost.
         hosts.order("cut")
         cut = time.monotonic()
-        _reset(tmp_path, "tea_box")
-        assert hosts.look(8.0, lambda: "desk has sent nothing" in str(hosts.health["uplink"].warnings))
-        hosts.look(10.0)
+        with _reset(tmp_path, "tea_box") as reset:
+            assert hosts.look(8.0, lambda: "desk has sent nothing" in str(hosts.health["uplink"].warnings))
+            hosts.look(10.0)
+            assert reset.poll() == 0
         assert hosts.longest_gap_s(cut) < 1.0
         assert len(hosts.tracked(2.0)) == 4
         assert hosts.searching["tea_box"] == 1

@@ -35,7 +35,7 @@ from huepose_protos.messages import PoseMessage, TruthMessage
 from huepose_services.builtin import builtin_bundles
 from huepose_services.convert import pose_of
 from huepose_services.demo.run import pipeline
-from huepose_services.runtime.config import load
+from huepose_services.runtime.config_file import load
 from huepose_services.runtime.supervisor import Supervisor
 from huepose_services.viewer.shapes import cloud
 from huepose_services.viewer.show import STATE_COLOURS

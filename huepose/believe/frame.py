@@ -14,7 +14,8 @@ from huepose.geometry.arrays import Float64
 from huepose.judge.color_correlation import PLAIN
 from huepose.judge.kernel import MARGIN, SEEN_IN_COLOR
 from huepose.judge.open_region import BLIND
-from huepose.judge.terms import DEFAULT_WEIGHTS, Terms
+from huepose.judge.terms import Terms
+from huepose.judge.weights import DEFAULT_WEIGHTS
 
 SLACK, HIDDEN_SLACK = 0.25, 0.3
 """In units of the judge's total: how far below the usual total is normal, and how much more per occluded

@@ -3,16 +3,12 @@ samples."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from huepose.geometry.arrays import Float64
 from huepose.judge.kernel_arrays import RegionArrays
+from huepose.judge.weights import ScoreWeights
 from huepose.support.jit import jit_dividing
-
-if TYPE_CHECKING:
-    from huepose.judge.terms import ScoreWeights
 
 SHADING_RIDGE = 0.03
 """Ridge regularisation when lightness is fitted to normals, as a variance of a normal's component. It keeps

@@ -8,18 +8,14 @@ compiler can vectorise it. A caller that only needs to know whether a pose is be
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import NEAREST_M
 from huepose.judge.color_correlation import color_agreement
 from huepose.judge.kernel_arrays import GRAZING, ModelArrays, RegionArrays, nearest_view, tolerance_at
+from huepose.judge.weights import ScoreWeights
 from huepose.support.jit import jit_dividing
-
-if TYPE_CHECKING:
-    from huepose.judge.terms import ScoreWeights
 
 TERMS = 17
 """Length of the kernel's output: the fields of `terms.Terms` in order."""

@@ -18,7 +18,7 @@ from huepose.geometry.camera import NEAREST_M
 from huepose.judge.color_correlation import PLAIN
 from huepose.judge.kernel_arrays import RegionArrays, tolerance_at
 from huepose.judge.region import Crop
-from huepose.judge.terms import DEFAULT_WEIGHTS
+from huepose.judge.weights import DEFAULT_WEIGHTS
 from huepose.model.types import PairReference, ReferenceModel
 from huepose.support.jit import jit
 from huepose.support.kept import once_for_each

@@ -9,7 +9,6 @@ shading is removed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,36 +16,13 @@ from huepose.geometry.arrays import Float, Float64
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
 from huepose.judge.kernel_arrays import ModelArrays, RegionArrays, model_arrays, region_arrays
 from huepose.judge.region import Region
+from huepose.judge.weights import DEFAULT_WEIGHTS, ScoreWeights
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
 
 CLOSE_SAMPLES = 800
 """Largest number of surface samples when poses are judged closely: 0.5 % of noise in a share of the
 surface."""
-
-
-class ScoreWeights(NamedTuple):
-    """Weights of the terms in the total, as the kernels read them.
-
-    lightness: relative weight of lightness against the other two channels.
-    coarse: relative weight of the 3.5 mm scale against the 1 mm scale.
-    outside: weight of depth that fits outside the mask.
-    color_floor: opponent units, keeps the correlation of plain surfaces low.
-    """
-
-    depth_fit: float = 0.9
-    coverage: float = 0.7
-    violation: float = 1.0
-    color: float = 1.0
-    occluded: float = 0.05
-    box: float = 0.5
-    lightness: float = 0.8
-    coarse: float = 0.5
-    outside: float = 0.6
-    color_floor: float = 1.5
-
-
-DEFAULT_WEIGHTS = ScoreWeights()
 
 
 @dataclass(frozen=True)

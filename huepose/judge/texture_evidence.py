@@ -35,7 +35,8 @@ from huepose.judge.pairs import (
     room_for,
 )
 from huepose.judge.region import Region
-from huepose.judge.terms import CLOSE_SAMPLES, DEFAULT_WEIGHTS
+from huepose.judge.terms import CLOSE_SAMPLES
+from huepose.judge.weights import DEFAULT_WEIGHTS
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
 

@@ -15,7 +15,8 @@ from huepose.geometry.camera import NEAREST_M, Camera
 from huepose.judge.borders import continuation_many
 from huepose.judge.kernel_arrays import ModelArrays, model_arrays, projected, shown_range
 from huepose.judge.region import Region
-from huepose.judge.terms import DEFAULT_WEIGHTS, score_many
+from huepose.judge.terms import score_many
+from huepose.judge.weights import DEFAULT_WEIGHTS
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
 from huepose.perception.nearby import align_in_view

@@ -19,7 +19,7 @@ import numpy as np
 from huepose.colorpair.opponents import LINEAR
 from huepose.geometry.arrays import Float32, Float64, Int32, Int64, UInt8, UInt16
 from huepose.judge.kernel import MARGIN
-from huepose.judge.terms import DEFAULT_WEIGHTS
+from huepose.judge.weights import DEFAULT_WEIGHTS
 from huepose.propose.quick_look import MIN_SHARE, write_opponents
 from huepose.propose.templates import (
     BESIDE,

@@ -16,7 +16,7 @@ from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
 from huepose.judge.kernel_arrays import ModelArrays, RegionArrays, model_arrays, region_arrays
 from huepose.judge.outline import NO_RIM, Rim, rim_agreement
 from huepose.judge.region import Region
-from huepose.judge.terms import DEFAULT_WEIGHTS, ScoreWeights
+from huepose.judge.weights import DEFAULT_WEIGHTS, ScoreWeights
 from huepose.model.types import ReferenceModel
 from huepose.refine.solver import rotation_exp_into
 from huepose.support.jit import jit

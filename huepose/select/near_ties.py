@@ -22,8 +22,8 @@ from huepose.judge.likeness import Likeness, Part, likeness
 from huepose.judge.outline import Rim, edge_tensor
 from huepose.judge.region import OUTSIDE_WEIGHT, Region
 from huepose.judge.rendered_view import detail_colors, render_view
-from huepose.judge.terms import ScoreWeights
 from huepose.judge.terms import totals as totals_of
+from huepose.judge.weights import ScoreWeights
 from huepose.model.types import ReferenceModel
 from huepose.refine.coordinate_search import search_rendered_view
 from huepose.select.distinct import Ranked, different_answers

@@ -136,7 +136,7 @@ class Tracker:
         cached, and does not change tracked instances."""
         double = Tracker({}, self.config)
         double._subjects = dict(self._subjects)
-        warm_up(double, self._subjects)
+        warm_up(self._subjects, self.config, double.step, double.correct)
 
     def poses(self) -> list[TrackedPose]:
         """The poses of all instances at the newest frame, corrections included."""

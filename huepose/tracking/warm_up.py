@@ -4,8 +4,7 @@ waits for the compiler, and each new view for its contour."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -16,14 +15,12 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.judge.terms import NOTHING
 from huepose.rendering.render import render
 from huepose.tracking.competition import Claim, losers
+from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Anchor, Hypothesis
 from huepose.tracking.step import advance
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Correction, Verdict
 from huepose.tracking.usual import Usual
-
-if TYPE_CHECKING:
-    from huepose.tracking.tracker import Tracker
 
 CAST = 2
 """Number of objects in the frames: one can occlude another."""
@@ -33,10 +30,15 @@ _PERIOD_NS = 33_000_000
 _FRAMES = 10
 
 
-def warm_up(tracker: Tracker, subjects: Mapping[str, Subject]) -> None:
+def warm_up(
+    subjects: Mapping[str, Subject],
+    config: TrackerConfig,
+    step: Callable[[RgbdFrame], object],
+    correct: Callable[[Correction], object],
+) -> None:
     """Let a new tracker of these objects (subjects by their names) acquire late, follow, agree, correct a
-    little and grossly, jump and lose, while two objects partly occlude each other. The tracker cannot be used
-    afterwards."""
+    little and grossly, jump and lose, while two objects partly occlude each other. step, correct: of that
+    tracker, which cannot be used afterwards."""
     for subject in subjects.values():
         subject.make_ready()
     cast = list(subjects.items())[:CAST]
@@ -45,7 +47,7 @@ def warm_up(tracker: Tracker, subjects: Mapping[str, Subject]) -> None:
     shown = [subject for _, subject in cast]
     frames = [_frame(shown, number) for number in range(_FRAMES)]
     for number, frame in enumerate(frames):
-        tracker.step(frame)
+        step(frame)
         for place, (name, subject) in enumerate(cast):
             past = max(number - 3, 0)
             T_cam_obj = _pose(subject, place, past)
@@ -53,15 +55,15 @@ def warm_up(tracker: Tracker, subjects: Mapping[str, Subject]) -> None:
                 # A correction near the tracked pose is moved to the newest frame, one far off is caught up.
                 T_cam_obj = se3.perturb(T_cam_obj, np.full(6, {3: 0.0, 6: 0.002, 8: 0.03}[number]))
                 verdict = Verdict.ACQUIRE if number == 3 else Verdict.CORRECT
-                tracker.correct(_correction(name, past, T_cam_obj, verdict, number))
+                correct(_correction(name, past, T_cam_obj, verdict, number))
             elif number == 5:
-                tracker.correct(_correction(name, past, T_cam_obj, Verdict.AGREE, number))
+                correct(_correction(name, past, T_cam_obj, Verdict.AGREE, number))
     # A step that tries every stage: no pose reaches the usual total.
     T_start = _pose(shown[0], 0, 0)
     before = Hypothesis(T_start, NOTHING, np.zeros((6, 6)), "still", velocity=np.zeros(6))
     for unseen_s in (0.0, 0.1):
         hard = Anchor((before,), frames[0], Usual(9.0, np.zeros(3)), unseen_s=unseen_s)
-        advance(shown[0], hard, frames[1], tracker.config)
+        advance(shown[0], hard, frames[1], config)
     losers([Claim(shown[0].surface, T_start, total) for total in (1.0, 2.0)], frames[0].depth, _CAMERA)
 
 

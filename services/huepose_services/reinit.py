@@ -32,8 +32,7 @@ from huepose_services.following import Retired, reading_text, recall
 from huepose_services.objects_of_file import ObjectsOfFile, unlike_file
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, check_number, now_ns
-from huepose_services.runtime.config import Config, ObjectConfig
-from huepose_services.runtime.config_parts import PERCEPTION
+from huepose_services.runtime.config import PERCEPTION, Config, ObjectConfig
 from huepose_services.runtime.one_camera import OneCamera
 from huepose_services.runtime.work import Work
 from huepose_services.steering import ObjectList, answer_control

@@ -23,7 +23,7 @@ from huepose.geometry import Camera
 from huepose.support.errors import InputError
 from huepose_services.camera.sources import open_source
 from huepose_services.cli.main import main
-from huepose_services.runtime.config import load
+from huepose_services.runtime.config_file import load
 
 WIDTH, HEIGHT, COUNT = 32, 24, 4
 CAMERA = Camera(40.0, 41.0, 15.5, 11.0, WIDTH, HEIGHT)

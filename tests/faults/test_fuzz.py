@@ -39,7 +39,7 @@ from huepose_protos.messages import FrameHeader, PoseMessage
 from huepose_services.builtin import builtin_bundles
 from huepose_services.camera.recording import RecordedScene
 from huepose_services.recording.read import Recording
-from huepose_services.runtime.config import load
+from huepose_services.runtime.config_file import load
 from tests.onboarding import mesh_files as meshes
 from tests.onboarding import solids
 from tests.services.recording.conftest import KEY, parts, tiny_frame

@@ -13,7 +13,7 @@ from huepose.geometry import hand_eye, hand_eye_doubts, se3
 from huepose.geometry.hand_eye_certainty import certainty
 from huepose.support.errors import InputError
 from huepose_services.cli.main import main
-from huepose_services.runtime.config import parse_all
+from huepose_services.runtime.config_file import parse_all
 
 X = se3.make(Rotation.from_euler("xyz", [20, -130, 75], degrees=True).as_matrix(), np.array([0.4, -0.2, 0.9]))
 Y = se3.make(

@@ -20,7 +20,7 @@ from huepose.onboarding import batch
 from huepose.onboarding.reference import silent
 from huepose.scenes.builtin import SyntheticScene
 from huepose_services.cli.main import BAD_INPUT, main
-from huepose_services.runtime.config import parse_all
+from huepose_services.runtime.config_file import parse_all
 
 NAME, PLAYED = "tea_box", 30
 FRAMES = 12

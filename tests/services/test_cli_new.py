@@ -21,7 +21,7 @@ from huepose.onboarding import batch
 from huepose.scenes.builtin import first_shot
 from huepose_services.cli.main import main
 from huepose_services.cli.new import _PIPELINE
-from huepose_services.runtime.config import load
+from huepose_services.runtime.config_file import load
 from tests.services.conftest import Says, heeds_ctrl_c
 
 

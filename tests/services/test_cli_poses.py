@@ -22,7 +22,7 @@ from huepose_protos.motion import carried
 from huepose_services.cli.main import build_parser, main
 from huepose_services.cli.pose_export import PoseFiles
 from huepose_services.cli.poses import _HEADING, _print, _silence, _warn
-from huepose_services.runtime.config import load
+from huepose_services.runtime.config_file import load
 from huepose_services.runtime.running import Pipeline, described, noted
 from tests.disk import full_disk
 from tests.services.repeating import repeating

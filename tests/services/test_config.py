@@ -11,7 +11,8 @@ from huepose.support.errors import InputError
 from huepose_protos import decode, encode
 from huepose_protos.examples import example
 from huepose_protos.messages import FrameHeader
-from huepose_services.runtime.config import WORKERS, Config, Section, load, load_all, parse_all
+from huepose_services.runtime.config import WORKERS, Config, Section
+from huepose_services.runtime.config_file import load, load_all, parse_all
 from tests.services.conftest import parse
 
 GOOD = "camera: {truth: true}\n"

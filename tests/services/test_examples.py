@@ -15,7 +15,8 @@ from huepose.scenes.builtin import first_shot
 from huepose.scenes.camera import CAMERA
 from huepose_services.camera.python import open_source
 from huepose_services.cli.new import write_frame
-from huepose_services.runtime.config import BusConfig, Config, load
+from huepose_services.runtime.config import BusConfig, Config
+from huepose_services.runtime.config_file import load
 from huepose_services.runtime.running import described, noted
 from tests.services.example_programs import (
     EXAMPLE,

@@ -17,7 +17,8 @@ from huepose.reinit.types import ObjectSlot
 from huepose.support.errors import InputError
 from huepose_protos.messages import ObjectEntry
 from huepose_services.reinit import ReinitWork
-from huepose_services.runtime.config import CHAIN, Config, load
+from huepose_services.runtime.config import CHAIN, Config
+from huepose_services.runtime.config_file import load
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 from huepose_services.runtime.reload import LIVE, Reload, changed

@@ -12,7 +12,8 @@ import pytest
 
 from huepose_services.cli.main import main
 from huepose_services.cli.units import units
-from huepose_services.runtime.config import CHAIN, Config, ObjectConfig, load, load_all
+from huepose_services.runtime.config import CHAIN, Config, ObjectConfig
+from huepose_services.runtime.config_file import load, load_all
 from huepose_services.runtime.config_perception import CameraConfig, DetectorConfig
 from tests.disk import full_disk
 

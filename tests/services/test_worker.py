@@ -13,7 +13,7 @@ CLOSED = """
 import sys
 from pathlib import Path
 from huepose_services.runtime import worker
-from huepose_services.runtime.config import parse_all
+from huepose_services.runtime.config_file import parse_all
 from huepose_services.runtime.work import Work
 
 

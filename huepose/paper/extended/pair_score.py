@@ -26,7 +26,7 @@ from huepose.judge.pairs import (
     room_for,
 )
 from huepose.judge.region import Region
-from huepose.judge.terms import DEFAULT_WEIGHTS, ScoreWeights
+from huepose.judge.weights import DEFAULT_WEIGHTS, ScoreWeights
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
 

@@ -28,7 +28,7 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Run all checks; exit code 1 if something is BAD."""
     from huepose_services.doctor.checks import examine
-    from huepose_services.runtime.config import load_all
+    from huepose_services.runtime.config_file import load_all
 
     configs = [] if arguments.config is None else load_all(arguments.config)
     if arguments.camera and not configs:

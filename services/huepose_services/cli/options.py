@@ -244,7 +244,7 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
 def chosen(arguments: argparse.Namespace, tell: bool = True) -> Pipeline:
     """The pipeline that the options choose. tell: if they name none, and it is not the one of this folder's
     pipeline.yaml, print which one it is. Raises InputError if the choice is ambiguous."""
-    from huepose_services.runtime.config import DEFAULT_FILE
+    from huepose_services.runtime.config_file import DEFAULT_FILE
     from huepose_services.runtime.running import pick
 
     pipeline = pick(arguments.config, arguments.pipeline)
@@ -289,7 +289,8 @@ def chosen_config(arguments: argparse.Namespace) -> tuple[Config, bool]:
     from msgspec.structs import replace
 
     from huepose_protos.local import FOLDER
-    from huepose_services.runtime.config import WORKERS, BusConfig, Config, load
+    from huepose_services.runtime.config import WORKERS, BusConfig, Config
+    from huepose_services.runtime.config_file import load
     from huepose_services.runtime.config_perception import CameraConfig
 
     pipeline = chosen(arguments)

@@ -226,7 +226,7 @@ def _poses_on_robot(
 def _endpoints_of_mounted(arguments: argparse.Namespace) -> list[str]:
     """Where the workers of the pipeline listen. Raises InputError if its file has neither a mount nor
     another source of the camera pose."""
-    from huepose_services.runtime.config import load
+    from huepose_services.runtime.config_file import load
 
     pipeline = chosen(arguments)
     if Path(pipeline.file).is_file() and not pipeline.recorded:

@@ -214,7 +214,8 @@ def _of_cameras(
 ) -> list[tuple[Config, list[Recording]]]:
     """The cameras of the configuration, each with the recordings that are played as that camera."""
     from huepose_protos.keys import camera_of
-    from huepose_services.runtime.config import Config, load, load_all
+    from huepose_services.runtime.config import Config
+    from huepose_services.runtime.config_file import load, load_all
 
     if arguments.config is None:
         return [(Config(), recordings)]

@@ -33,7 +33,8 @@ def call(arguments: argparse.Namespace) -> int:
     # Before anything that takes time, because the supervisor may die meanwhile.
     if (supervisor := os.environ.get(SUPERVISOR)) is not None:
         end_with(int(supervisor), ask_first=worker == "camera")
-    from huepose_services.runtime.config import WORKERS, load
+    from huepose_services.runtime.config import WORKERS
+    from huepose_services.runtime.config_file import load
 
     # A request to reload that comes during the start is not needed: the file is still to be read.
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # what nohup has set tells `asked_again`

@@ -141,7 +141,7 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Write the units, and remove additions for workers that the pipeline no longer has."""
-    from huepose_services.runtime.config import load_all
+    from huepose_services.runtime.config_file import load_all
 
     configs = [config.at(arguments.host) for config in load_all(arguments.config)]
     command = (Path(sys.executable).parent / "huepose").absolute()

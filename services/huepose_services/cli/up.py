@@ -32,7 +32,7 @@ def call(arguments: argparse.Namespace) -> int:
     """Run until the pipeline ends or is interrupted."""
     from concurrent.futures import ThreadPoolExecutor
 
-    from huepose_services.runtime.config import load_all
+    from huepose_services.runtime.config_file import load_all
     from huepose_services.runtime.log import Log
     from huepose_services.runtime.prepare import prepare
     from huepose_services.runtime.pulse import notify
@@ -87,7 +87,7 @@ def call(arguments: argparse.Namespace) -> int:
 def _report_new_cameras(log: Log, path: Path, configs: list[Config]) -> None:
     """Log which cameras of the file, which was read again, run only after the next start. configs: those
     that run; their supervisors report all else that waits."""
-    from huepose_services.runtime.config import load_all
+    from huepose_services.runtime.config_file import load_all
 
     try:
         now = [config.camera.name for config in load_all(path)]

@@ -29,8 +29,8 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Read the file, check that what it names exists, print a summary."""
-    from huepose_services.runtime.config import as_written, for_each_camera, text_of
     from huepose_services.runtime.config_errors import read_yaml
+    from huepose_services.runtime.config_file import as_written, for_each_camera, text_of
     from huepose_services.runtime.prepare import check, gaps
 
     path = arguments.config

@@ -24,7 +24,8 @@ from huepose_services.cli.options import catch_stop_signals, say
 from huepose_services.demo.score import Score, Yardstick
 from huepose_services.demo.table import Table
 from huepose_services.runtime.clock import SECOND, now_ns
-from huepose_services.runtime.config import WORKERS, Config, load
+from huepose_services.runtime.config import WORKERS, Config
+from huepose_services.runtime.config_file import load
 from huepose_services.runtime.config_perception import is_network_file
 from huepose_services.runtime.prepare import check
 from huepose_services.runtime.run_folder import free_ports

@@ -3,22 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import msgspec
-from msgspec import Meta
 
-from huepose_protos.fields import Name
+from huepose_services.runtime.config import PERCEPTION, Config
 from huepose_services.runtime.config_perception import Refuse
-
-if TYPE_CHECKING:
-    from huepose_services.runtime.config import Config
-
-Far = Literal["detector", "segmenter", "estimator"]
-Hosts = Annotated[dict[Name, tuple[Far, ...]], Meta(max_length=1)]
-
-PERCEPTION: tuple[Far, ...] = get_args(Far)
-"""The workers that may run on a second computer, each after the one whose results it needs."""
 
 _LAST_PORT = 65_535
 

@@ -16,7 +16,8 @@ from typing import Any
 import msgspec
 
 from huepose.support.errors import InputError
-from huepose_services.runtime.config import Config, RestartConfig, load
+from huepose_services.runtime.config import Config, RestartConfig
+from huepose_services.runtime.config_file import load
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 

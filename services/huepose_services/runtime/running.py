@@ -17,7 +17,8 @@ import msgspec
 from huepose.support.errors import InputError
 from huepose.support.files import whole
 from huepose_protos.local import born_of, endpoint, perception_alone, run_folder, writer_runs
-from huepose_services.runtime.config import DEFAULT_FILE, WORKERS, BusConfig, Config, load_all
+from huepose_services.runtime.config import WORKERS, BusConfig, Config
+from huepose_services.runtime.config_file import DEFAULT_FILE, load_all
 from huepose_services.runtime.run_folder import is_private, known_folders, make_folder
 from huepose_services.runtime.text import encodable
 

@@ -12,7 +12,8 @@ from huepose.geometry import Camera
 from huepose_services.camera.live import CameraError, LiveSource, Shot
 from huepose_services.camera.live_ingest import LiveIngest
 from huepose_services.camera.python import open_source
-from huepose_services.runtime.config import Config, load
+from huepose_services.runtime.config import Config
+from huepose_services.runtime.config_file import load
 from huepose_services.runtime.config_perception import CameraConfig
 from tests.services.fake_bus import FakeBus
 

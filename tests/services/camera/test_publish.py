@@ -16,7 +16,7 @@ from huepose_protos.messages import CameraMessage, Mount, MountMessage
 from huepose_services.camera.publish import FramePublisher, packed
 from huepose_services.convert import MOST_PIXELS, check_size, frame_from_wire
 from huepose_services.runtime.clock import now_ns
-from huepose_services.runtime.config import load
+from huepose_services.runtime.config_file import load
 from tests.services.fake_bus import FakeBus
 
 CAMERA = Camera(20.0, 20.0, 3.5, 2.5, 8, 6)

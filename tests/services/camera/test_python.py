@@ -11,7 +11,7 @@ import pytest
 from huepose.support.errors import InputError
 from huepose_services.camera.live import CameraError, LiveSource
 from huepose_services.camera.python import open_source
-from huepose_services.runtime.config import load
+from huepose_services.runtime.config_file import load
 
 PAGE = Path(__file__).parents[3] / "docs" / "cameras.md"
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from huepose.model import save_model
 from huepose_services.camera import synthetic
-from huepose_services.runtime.config import load
+from huepose_services.runtime.config_file import load
 
 
 def test_the_order_of_the_objects_does_not_change_the_scene(tea_box, tmp_path, monkeypatch):

@@ -28,7 +28,8 @@ from huepose_protos.messages import (
     PoseMessage,
 )
 from huepose_services.convert import pose_to_wire
-from huepose_services.runtime.config import Config, load
+from huepose_services.runtime.config import Config
+from huepose_services.runtime.config_file import load
 from huepose_services.viewer.show import OTHER, STATE_COLOURS
 from tests.conftest import TakePicture, standing_pose
 from tests.services.fake_bus import sent

@@ -1,8 +1,9 @@
 """How well the measurements determine where the camera is on the robot, and which ones are missing.
 
-The covariance of the result is that of least squares, (J^T J)^-1, times the variance of the residuals
-(6N - 12 degrees of freedom). Without this variance it is the error of the result relative to the error of
-one measurement. If the result has a larger error than one measurement, more measurements are needed.
+The covariance of the result is that of least squares, with the variances of the residuals (3N - 6 degrees of
+freedom each) of positions and of rotations times the lever: an object's rotation is seldom as exact as its
+position. With equal variances of 1 it is the error of the result relative to the error of one measurement. If
+the result has a larger error than one measurement, more measurements are needed.
 """
 
 from __future__ import annotations
@@ -26,10 +27,11 @@ _STEP = 1e-5
 @dataclass(frozen=True, eq=False)
 class Certainty:
     """shift_m, turn_rad: one standard deviation of the camera's position and orientation, in the worst
-    direction; shift_ratio, turn_ratio: the same relative to one measurement. axis (3,): the axis about
-    which the hand rotated least, in the frame of the camera's mount; turned_rad: RMS rotation between two
-    poses about it; most_rad: the same about the axis with the most rotation. more: how many further
-    measurements, rotated by WANTED_RAD about all axes, bring both ratios to 1; None if 40 do not."""
+    direction; shift_ratio, turn_ratio: the same relative to one measurement whose rotation, times the lever,
+    is as exact as its position. axis (3,): the axis about which the hand rotated least, in the frame of the
+    camera's mount; turned_rad: RMS rotation between two poses about it; most_rad: the same about the axis
+    with the most rotation. more: how many further measurements, rotated by WANTED_RAD about all axes, bring
+    both ratios to 1; None if 40 do not."""
 
     shift_m: float
     turn_rad: float
@@ -49,17 +51,16 @@ class Certainty:
 def certainty(A: Float64, B: Float64, found: HandEye) -> Certainty:
     """The certainty of `found`, the result of `hand_eye.solve(A, B)`."""
     lever_m = lever(B)
-    rest = residuals(A, B, found.X, found.Y, lever_m)
-    sigma_m = float(np.sqrt((rest**2).sum() / (len(rest) - 12)))
-    shift, turn = _ratios(A, found, lever_m)
+    rest = residuals(A, B, found.X, found.Y, lever_m).reshape(2, -1)
+    sigma_m = np.sqrt((rest**2).sum(1) / (rest.shape[1] - 6))
+    shift_m, turn_m = _errors(A, found, lever_m, sigma_m)
     _, alpha = moves(A)
     _, turned, axes = np.linalg.svd(alpha)
     turned = turned / np.sqrt(len(alpha))
     return Certainty(
-        sigma_m * shift,
-        sigma_m * turn / lever_m,
-        shift,
-        turn,
+        shift_m,
+        turn_m / lever_m,
+        *_errors(A, found, lever_m, np.ones(2)),
         axes[2] * np.sign(axes[2][np.argmax(np.abs(axes[2]))]),
         float(turned[2]),
         float(turned[0]),
@@ -67,9 +68,9 @@ def certainty(A: Float64, B: Float64, found: HandEye) -> Certainty:
     )
 
 
-def _ratios(A: Float64, found: HandEye, lever_m: float) -> tuple[float, float]:
+def _errors(A: Float64, found: HandEye, lever_m: float, sigma: Float64) -> tuple[float, float]:
     """Error of X in its worst direction, of the translation and of the rotation times the lever, for
-    measurements with an error of 1 in each component."""
+    measurements with errors sigma (2,) in each component of these."""
     X, Y = found.X, found.Y
     B = np.array([se3.inverse(a @ X) @ Y for a in A])  # error-free measurements
 
@@ -77,7 +78,8 @@ def _ratios(A: Float64, found: HandEye, lever_m: float) -> tuple[float, float]:
         return residuals(A, B, X @ se3.exp(steps[:6]), Y @ se3.exp(steps[6:]), lever_m)
 
     J = np.array([(left(_STEP * e) - left(-_STEP * e)) / (2.0 * _STEP) for e in np.eye(12)]).T
-    covariance = np.linalg.inv(J.T @ J)
+    X_of_residuals = np.linalg.solve(J.T @ J, J.T)
+    covariance = X_of_residuals * np.repeat(sigma**2, len(J) // 2) @ X_of_residuals.T
     shift, turn = (np.sqrt(np.linalg.eigvalsh(covariance[k, k])[-1]) for k in (slice(0, 3), slice(3, 6)))
     return float(shift), float(lever_m * turn)
 
@@ -89,6 +91,6 @@ def _more(A: Float64, found: HandEye, lever_m: float, axes: Float64) -> int | No
     one = A[len(A) // 2]
     for count in range(_MOST_MORE + 1):
         added = [one @ se3.make(se3.rotation_exp(turns[k % 6]), np.zeros(3)) for k in range(count)]
-        if max(_ratios(np.array([*A, *added]), found, lever_m)) <= 1.0:
+        if max(_errors(np.array([*A, *added]), found, lever_m, np.ones(2))) <= 1.0:
             return count
     return None

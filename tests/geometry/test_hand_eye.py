@@ -22,10 +22,10 @@ Y = se3.make(
 
 
 def measured(
-    count: int, noise: float = 0.0, axis: np.ndarray | None = None, seed: int = 3
+    count: int, noise: float = 0.0, axis: np.ndarray | None = None, seed: int = 3, share: float = 2.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """A and B of a camera X and an object Y. noise: standard deviation of the
-    shift in metres; that of the rotation, in radians, is twice the number."""
+    shift in metres; that of the rotation, in radians, is `share` times the number."""
     rng = np.random.default_rng(seed)
     A, B = [], []
     for _ in range(count):
@@ -33,7 +33,7 @@ def measured(
         a = se3.make(se3.rotation_exp(turn), rng.uniform(-0.3, 0.3, 3))
         b = se3.inverse(a @ X) @ Y
         A.append(a)
-        B.append(se3.perturb(b, rng.normal(0.0, noise, 6) * [1, 1, 1, 2, 2, 2]))
+        B.append(se3.perturb(b, rng.normal(0.0, noise, 6) * np.repeat([1.0, share], 3)))
     return np.array(A), np.array(B)
 
 
@@ -121,6 +121,18 @@ def test_the_reported_error_is_that_of_many_runs() -> None:
     assert np.median(reported) == pytest.approx(
         np.sqrt(np.linalg.eigvalsh(np.cov(np.array(shifts).T))[-1]), rel=0.4
     )
+
+
+@pytest.mark.parametrize("share", [0.5, 5.0])
+def test_the_reported_error_holds_where_rotations_are_more_or_less_exact_than_positions(share: float) -> None:
+    errors, reported = [], []
+    for seed in range(60):
+        A, B = measured(12, 0.001, seed=seed, share=share)
+        found = hand_eye.solve(A, B)
+        errors.append(se3.rotation_log(X[:3, :3].T @ found.X[:3, :3]))
+        reported.append(certainty(A, B, found).turn_rad)
+    worst = np.sqrt(np.linalg.eigvalsh(np.cov(np.array(errors).T))[-1])
+    assert 0.95 < np.sqrt(np.mean(np.square(reported))) / worst < 1.25
 
 
 def test_few_poses_and_small_rotations_are_less_certain() -> None:

@@ -217,13 +217,13 @@ def _intervals(rows: Sequence[TrackRow]) -> dict[str, Any]:
 
 
 def _roft_figures(rows: Sequence[TrackRow]) -> Figures:
-    """ROFT's figures of the frames of one instance that count, in order."""
-    scored = [row for row in rows if row.scored]
+    """ROFT's figures of one instance, in order of time. Frames that do not count have no truth: what the
+    object does in them is no velocity of the frames beside them."""
     return roft_figures(
-        [row.T_cam_obj for row in scored],
-        [row.T_truth for row in scored],
-        [row.stamp_ns for row in scored],
-        [row.velocity for row in scored],
+        [row.T_cam_obj for row in rows],
+        [row.T_truth if row.scored else None for row in rows],
+        [row.stamp_ns for row in rows],
+        [row.velocity for row in rows],
     )
 
 

@@ -239,6 +239,16 @@ def test_tracking_starts_at_the_first_pose_of_a_file(run) -> None:
     assert result.summary()["recall_add"] == pytest.approx(100 * 2 / 5)
 
 
+def test_a_motion_while_the_object_is_gone_is_no_velocity_of_the_frames_beside_it(run) -> None:
+    places = [pose_at(0.0 if i < 15 else 0.1) for i in range(31)]
+    labels = {i: (truth(0, 5, T, visib=0.0 if 10 <= i < 20 else 1.0),) for i, T in enumerate(places)}
+    result, _ = run(MemoryScene("box_run", labels), TrackOptions("free"), TRUTH)
+    figures = result.summary()
+    assert figures["instances"] == 21
+    assert figures["rmse_cm"] == pytest.approx(0.0, abs=1e-6)
+    assert figures["rmse_cm_s"] == pytest.approx(0.0, abs=1e-6)
+
+
 def test_sequences_have_equal_weight_whatever_their_length(models) -> None:
     scenes = [sequence(30, "long"), sequence(10, "short")]
     by_name = {s.name: s for s in scenes}

@@ -85,6 +85,10 @@ def _message(record: dict[str, Any], where: str) -> LivePose:
             raise InputError(where, found=f"quaternion {q.tolist()}", expected="length 1, order xyzw")
         t_m = files.numbers(record, "translation", (3,), where)
         T_cam_obj = se3.make(se3.rotation_from_quaternion(q), t_m)
+    velocity: Float64 | None = None
+    if record.get("velocity_linear") is not None:
+        keys = ("velocity_linear", "velocity_angular")
+        velocity = np.concatenate([files.numbers(record, key, (3,), where) for key in keys])
     counts = {}
     for key in ("camera_epoch", "frame_id", "capture_ns", "publish_ns", "instance"):
         value = files.field(record, key, where)
@@ -93,7 +97,7 @@ def _message(record: dict[str, Any], where: str) -> LivePose:
         counts[key] = value
     quality = float(files.numbers(record, "quality", (), where))
     return LivePose(
-        PublishedPose(str(record["object"]), counts["instance"], T_cam_obj, state, quality),
+        PublishedPose(str(record["object"]), counts["instance"], T_cam_obj, state, quality, velocity),
         counts["camera_epoch"],
         counts["frame_id"],
         counts["capture_ns"],

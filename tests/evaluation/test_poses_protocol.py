@@ -60,6 +60,15 @@ def test_a_run_is_scored_by_frame_number(models, tmp_path: Path) -> None:
     assert summary["frames"] == 10
 
 
+def test_the_published_velocity_is_scored(models, tmp_path: Path) -> None:
+    """The object moves by 5 mm in a thirtieth of a second; 10 cm/s and 0.1 rad/s are published."""
+    said = {"velocity_linear": [0.1, 0.0, 0.0], "velocity_angular": [0.0, 0.1, 0.0]}
+    messages = [message(i, motion(i), **said) for i in range(10)]
+    summary = evaluate_poses(read_messages(written(tmp_path, *messages)), SCENE, Targets(models)).summary()
+    assert summary["rmse_cm_s"] == pytest.approx(5.0, rel=1e-3)
+    assert summary["rmse_deg_s"] == pytest.approx(np.degrees(0.1), rel=1e-3)
+
+
 def test_an_image_without_labels_has_no_row(models, tmp_path: Path) -> None:
     sparse = PartlyLabelled("s", {i: SCENE.labels[i] if i in (0, 9) else () for i in SCENE.image_ids})
     messages = read_messages(written(tmp_path, *(message(i, motion(i)) for i in range(10))))

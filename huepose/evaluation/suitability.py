@@ -46,7 +46,7 @@ Verdict = Literal["suits", "suits with limits", "does not suit"]
 
 TRIALS = 16
 """Rendered frames of a self-test. If 15 of 16 are right, the 95 % interval is 72 to 99 %
-(Clopper-Pearson)."""
+(Wilson)."""
 
 RANGES = SceneRanges(distance_m=(0.45, 2.0))
 

@@ -76,5 +76,9 @@ def _started(threads: int) -> ThreadPoolExecutor:
     """An executor with all its threads running. Started later, when memory is short, a thread may end
     before it reports that it runs, and the program would wait for it forever."""
     pool, together = ThreadPoolExecutor(threads), Barrier(threads)
-    list(pool.map(lambda _: together.wait(), range(threads)))
+    try:
+        list(pool.map(lambda _: together.wait(), range(threads)))
+    except RuntimeError:  # the system allows no more: those that wait for it must end with the program
+        together.abort()
+        raise
     return pool

@@ -1,5 +1,7 @@
 """Threads share work evenly, keep the order of answers, and raise errors."""
 
+import subprocess
+import sys
 from threading import Barrier
 
 import pytest
@@ -53,3 +55,17 @@ def test_listeners_hear_the_stages_of_all_steps() -> None:
     with listening() as clock:
         Pool(2).map_steps(work, range(3))
     assert {name: len(spans) for name, spans in clock.spans.items()} == {"before": 3, "after": 3}
+
+
+def test_a_program_ends_that_may_not_have_as_many_threads_as_it_wants() -> None:
+    """As in a container with a limit of processes."""
+    program = (
+        "import threading\nfrom huepose.support.pool import Pool\n"
+        "start = threading.Thread.start\n"
+        "def refused(thread):\n"
+        "    if threading.active_count() > 2: raise RuntimeError('no more')\n"
+        "    start(thread)\n"
+        "threading.Thread.start = refused\nPool(3)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60.0)
+    assert (done.returncode, done.stderr.splitlines()[-1]) == (1, "RuntimeError: no more")

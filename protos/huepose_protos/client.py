@@ -272,9 +272,11 @@ class Reader(Client):
 
     def next(self, timeout_s: float | None = None) -> Message | None:
         """The next message that can be decoded; None after the timeout, or when the reader is closed."""
+        until = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
             with self._came:
-                self._came.wait_for(lambda: self._messages or self._closed, timeout_s)
+                left_s = None if until is None else until - time.monotonic()
+                self._came.wait_for(lambda: self._messages or self._closed, left_s)
                 if not self._messages:
                     return None
                 key, data = self._messages.popleft()

@@ -174,6 +174,27 @@ def test_whoever_waits_for_a_message_of_a_reader_that_is_closed_gets_none():
     assert reader.next() is None
 
 
+def test_messages_that_cannot_be_decoded_do_not_prolong_the_wait_for_one_that_can():
+    """As of a pipeline of another version: whoever asks in a loop whether to stop must get an answer."""
+    enough = threading.Event()
+    bad = SimpleNamespace(key_expr="huepose/lab/cam0/pose/mug/0", attachment=None)
+    bad.payload = SimpleNamespace(to_bytes=lambda: b"of another version")
+    with Reader([NOBODY], "huepose/**") as reader:
+
+        def publish():
+            for _ in range(10_000):
+                reader._on_sample(bad)
+                if enough.wait(0.002):
+                    break
+
+        publisher = threading.Thread(target=publish)
+        publisher.start()
+        assert reader.next(0.5) is None
+        assert publisher.is_alive(), "it waited for the last of them"
+        enough.set()
+        publisher.join()
+
+
 def note(folder, camera, port):
     said = {"site": "local", "camera": camera, "file": "pipeline.yaml"}
     (folder / f"{os.getpid()}-{port}.json").write_text(json.dumps(said))

@@ -71,8 +71,11 @@ class Follower(Generic[T]):
             out += self._gone() + self._resets()
             for name, entry in self._newest.items():
                 if name not in self._known and name not in self._loading:
-                    threading.Thread(target=self._load_one, args=(entry,), daemon=True).start()
-                    self._loading.add(name)
+                    try:
+                        threading.Thread(target=self._load_one, args=(entry,), daemon=True).start()
+                        self._loading.add(name)
+                    except RuntimeError as error:  # no more threads for now: also with the next list
+                        self._fail(f"{name} is not loaded yet: {error}")
         while not self._loaded.empty():
             asked, item, settled = self._loaded.get()
             self._loading.discard(asked.object)

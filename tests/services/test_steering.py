@@ -289,6 +289,29 @@ def test_an_object_that_could_not_be_loaded_for_lack_of_memory_is_loaded_with_th
     assert tries.count("ghost") == 1
 
 
+def test_without_a_thread_for_a_new_object_the_other_changes_are_made_and_it_is_loaded_later(monkeypatch):
+    bus = FakeBus("worker")
+    follower = Follower(bus, str.upper, ["mug", "jar"])
+
+    def listed(*entries):
+        bus.arriving[ObjectsMessage] = [ObjectsMessage(publish_ns=1, objects=[entry("mug"), *entries])]
+
+    def start(thread):
+        raise RuntimeError("can't start new thread")
+
+    listed(entry("jar"))
+    assert follower.changes() == []
+    listed(entry("lid"))
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", start)
+        (gone,) = follower.changes()
+    assert (gone.entry.object, gone.removed) == ("jar", True)
+    assert bus.logged["load"] == ["lid is not loaded yet: can't start new thread"]
+    listed(entry("lid"))
+    (come,) = _changes(follower)
+    assert (come.entry.object, come.added) == ("lid", "LID")
+
+
 def test_retired_instances_are_those_of_their_epoch_below_a_number():
     retired = Retired.of([entry("mug", retired=(7, 3))])
     assert [retired.includes("mug", 7, i) for i in (0, 2, 3)] == [True, True, False]

@@ -89,24 +89,26 @@ class ObjectList:
                 given_box(request.box, self.picture_size)
             except InputError as error:
                 return False, str(error)
+        if request.action == "add":
+            with self._lock:
+                known = self._entries.get(name)
+            return self._add(request, name, known)
         with self._lock:
             known = self._entries.get(name)
-        if request.action == "add":
-            return self._add(request, name, known)
-        if known is None:
-            return False, f"{name} is not searched for; what is: {', '.join(self._entries) or 'nothing'}"
-        if request.action == "remove":
-            self._accept(Order(name, None))
-            return True, f"{name} is no longer searched for"
-        # The new entry forgets where the object was, and why it was not found.
-        entry = msgspec.structs.replace(
-            known,
-            resets=(known.resets + 1) % _RESETS,
-            box=request.box,
-            searching=known.max_instances,
-            reason="",
-        )
-        self._accept(Order(name, entry, anew=True))
+            if known is None:
+                return False, f"{name} is not searched for; what is: {', '.join(self._entries) or 'nothing'}"
+            if request.action == "remove":
+                self._take(Order(name, None))
+                return True, f"{name} is no longer searched for"
+            # The new entry forgets where the object was, and why it was not found.
+            entry = msgspec.structs.replace(
+                known,
+                resets=(known.resets + 1) % _RESETS,
+                box=request.box,
+                searching=known.max_instances,
+                reason="",
+            )
+            self._take(Order(name, entry, anew=True))
         return True, f"{name} is searched for again"
 
     def _add(self, request: ControlRequest, name: str, known: ObjectEntry | None) -> tuple[bool, str]:
@@ -137,10 +139,6 @@ class ObjectList:
                 self._take(Order(name, entry, slot))
                 return True, f"{name} is searched for, up to {counted(count, 'instance')}"
         return self._add(request, name, now)
-
-    def _accept(self, order: Order) -> None:
-        with self._lock:
-            self._take(order)
 
     def _take(self, order: Order) -> None:
         self._orders.append(order)

@@ -3,6 +3,7 @@
 import threading
 import time
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -167,6 +168,22 @@ def test_an_object_that_is_added_twice_at_the_same_time_is_added_once(second, do
     assert answer[0] == done
     assert ("already" in answer[1]) != done
     assert [(o.entry.added, o.entry.max_instances) for o in objects.orders()] == [(1, 1), (1, 2)][: 1 + done]
+
+
+def test_an_object_that_is_removed_while_it_is_reset_does_not_come_back(monkeypatch):
+    """As by a changed file and a command. The loop does not know it any more."""
+    objects, replace = ObjectList([entry("mug")], load), msgspec.structs.replace
+    remover = threading.Thread(target=lambda: objects.decide(order("remove", "mug")))
+
+    def slow(*arguments, **changes):
+        remover.start()
+        remover.join(0.3)
+        return replace(*arguments, **changes)
+
+    monkeypatch.setattr(msgspec.structs, "replace", slow)
+    assert objects.decide(order("reset", "mug"))[0]
+    remover.join()
+    assert objects.entries() == []
 
 
 def _changes(follower, within_s=5.0):

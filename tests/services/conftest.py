@@ -7,8 +7,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -19,8 +20,10 @@ from huepose.model.io import model_path, save_model
 from huepose.onboarding import batch
 from huepose.onboarding.reference import silent
 from huepose.scenes.builtin import SyntheticScene
+from huepose_protos.local import run_folder
 from huepose_services.cli.main import BAD_INPUT, main
 from huepose_services.runtime.config_file import parse_all
+from huepose_services.runtime.run_folder import is_taken
 
 NAME, PLAYED = "tea_box", 30
 FRAMES = 12
@@ -49,16 +52,34 @@ def scene(tmp_path):
     return folder
 
 
+_PORTS, _OWN = range(10_000, 17_000), 500
+"""Tests listen at these: the kernel gives none of them to outgoing connections, and no pipeline has them by
+default."""
+
+
+@cache
+def _own_ports() -> range:
+    """Ports of this process alone, until it ends: tests run in other processes as well, and listen at free
+    ports only seconds later."""
+    for first in np.random.default_rng().permutation(_PORTS[::_OWN]):
+        with socket.socket(socket.AF_UNIX) as held, suppress(OSError):
+            held.bind(f"\0ports of the tests of huepose {first}")
+            held.detach()
+            return range(first, first + _OWN)
+    raise RuntimeError("other tests hold all ports")
+
+
 def free_port_range(count: int) -> int:
-    """The first of `count` consecutive ports that are free now."""
-    rng = np.random.default_rng()
+    """The first of `count` consecutive ports that are free, on the network and in the folder of sockets."""
+    rng, own, folder = np.random.default_rng(), _own_ports(), run_folder()
     while True:
-        base = int(rng.integers(20_000, 60_000))
+        base = int(rng.choice(own[: _OWN + 1 - count]))
         probes = [socket.socket() for _ in range(count)]
         try:
             for offset, probe in enumerate(probes):
                 probe.bind(("127.0.0.1", base + offset))
-            return base
+            if not any(is_taken(folder, base + offset) for offset in range(count)):
+                return base
         except OSError:
             continue
         finally:

@@ -1,6 +1,7 @@
 """A tiny recorded scene, a camera that is a Python file, free ports, and pipelines as files."""
 
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -20,7 +21,7 @@ from huepose.model.io import model_path, save_model
 from huepose.onboarding import batch
 from huepose.onboarding.reference import silent
 from huepose.scenes.builtin import SyntheticScene
-from huepose_protos.local import run_folder
+from huepose_protos.local import FOLDER, run_folder
 from huepose_services.cli.main import BAD_INPUT, main
 from huepose_services.runtime.config_file import parse_all
 from huepose_services.runtime.run_folder import is_taken
@@ -28,6 +29,16 @@ from huepose_services.runtime.run_folder import is_taken
 NAME, PLAYED = "tea_box", 30
 FRAMES = 12
 STAMPS_NS = [1_000_000_000 + i * 30_000_000 + (i % 3) * 5_000_000 for i in range(FRAMES)]
+
+
+@pytest.fixture(autouse=True)
+def _same_run_folder():
+    """A command sets the folder of the pipeline that it has found, for its whole process."""
+    before = os.environ.get(FOLDER)
+    yield
+    os.environ.pop(FOLDER, None)
+    if before is not None:
+        os.environ[FOLDER] = before
 
 
 @pytest.fixture

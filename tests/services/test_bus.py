@@ -2,12 +2,14 @@
 
 import threading
 import time
+from itertools import count
 
 import msgspec
 import numpy as np
 import pytest
+import zenoh
 
-from huepose_protos import encode
+from huepose_protos import decode, encode
 from huepose_protos.buffers import frame_images, pack
 from huepose_protos.examples import example, images
 from huepose_protos.messages import FrameHeader, ObjectsMessage, PoseMessage
@@ -55,11 +57,18 @@ def _saying(say, bus):
 
 
 def _until_heard(publish, place, bus):
-    """Publishes until a message arrives in the place, then empties the place."""
-    until(lambda: place, act=_saying(lambda: publish(_numbered(0)), bus))
-    time.sleep(0.1)
-    while place.take() is not None:
-        pass
+    """Publishes until a message arrives in the place, then takes all messages out of it."""
+    sent = count()
+    until(lambda: place, act=_saying(lambda: publish(_numbered(next(sent))), bus))
+    last = next(sent)
+    publish(_numbered(last))
+    until(lambda: (taken := bus.take(place, PoseMessage)) is not None and taken.frame_id == last)
+
+
+def _newest(place, kind):
+    """The newest message in a place, which stays there; None if it is empty."""
+    sample = next(reversed(place._samples), None)
+    return None if sample is None else decode((sample.attachment or sample.payload).to_bytes(), kind)
 
 
 def test_a_reader_without_memory_for_one_message_gets_the_next(buses):
@@ -91,10 +100,12 @@ def test_a_slow_reader_of_a_ring_gets_the_newest(buses):
     skipped = ring.skipped
     for i in range(1, 51):
         camera.put("t/ring", _numbered(i))
-    time.sleep(0.3)
-    # Some of a burst may be dropped on the way; a later one is not.
-    camera.put("t/ring", _numbered(51))
-    time.sleep(0.5)
+        if i == 1:
+            until(lambda: ring)
+    # Some of a burst may be dropped on the way; the last one waits for its place.
+    how = {"priority": zenoh.Priority.REAL_TIME, "congestion_control": zenoh.CongestionControl.BLOCK}
+    camera.session.put("t/ring", encode(_numbered(51)), **how)
+    until(lambda: _newest(ring, PoseMessage).frame_id == 51)
     assert tracker.take(ring, PoseMessage).frame_id == 51
     assert tracker.take(ring, PoseMessage) is None
     assert ring.skipped > skipped
@@ -226,7 +237,7 @@ def test_frames_of_a_second_camera_replace_none_and_are_reported(buses):
         mine = msgspec.structs.replace(HEADER, buffers=specs, frame_id=number)
         camera.put_pixels(camera.keys.frame, mine, payload)
         camera.put_pixels(camera.keys.frame, second, payload)
-        time.sleep(0.02)
+        until(lambda number=number: tracker._camera.refused > number)
         if number in (9, 19, 29):
             tracker.say_health()
     header, _ = tracker.take_with_payload(ring, FrameHeader)
@@ -247,10 +258,13 @@ def test_an_older_frame_that_comes_later_replaces_none(buses):
         camera.put_pixels(camera.keys.frame, header, payload)
 
     until(lambda: ring, act=_saying(lambda: say(5, now), tracker))
-    for number, back_ns in ((6, -1), (4, 1_000_000), (3, 2_000_000)):
+    say(6, now + 1)
+    until(lambda: _newest(ring, FrameHeader).frame_id == 6)
+    for earlier, (number, back_ns) in enumerate(((4, 1_000_000), (3, 2_000_000))):
         say(number, now - back_ns)
-        time.sleep(0.05)
-    until(lambda: tracker.health.counters.get("frames_out_of_order", 0) >= 2, act=tracker.say_health)
+        until(lambda earlier=earlier: tracker._out_of_order > earlier)
+    tracker.say_health()
+    assert tracker.health.counters["frames_out_of_order"] == 2
     header, _ = tracker.take_with_payload(ring, FrameHeader)
     assert header.frame_id == 6
 

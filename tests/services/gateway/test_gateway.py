@@ -49,15 +49,16 @@ def test_poses_objects_camera_and_health_can_be_read_outside_also_by_late_client
     ):
         one.tracker.put(key, example(kind))
     pose = one.say(5000, state="SUSPECT")
-    time.sleep(0.1)
     # From now on nothing is published.
     session = open_session([f"tcp/127.0.0.1:{one.port}"])
-    deadline, replies = time.monotonic() + 5.0, {}
-    while len(replies) < 4 and time.monotonic() < deadline:
-        replies = {str(r.ok.key_expr): r.ok.payload.to_bytes() for r in session.get(ALL, timeout=1.0)}
-        time.sleep(0.05)
+    its_key, replies = keys.outside(keys.pose(pose.object, pose.instance)), {}
+
+    def answered():
+        replies.update({str(r.ok.key_expr): r.ok.payload.to_bytes() for r in session.get(ALL, timeout=1.0)})
+        return len(replies) == 4 and decode(replies[its_key], PoseMessage) == pose
+
+    until(answered, 5.0)
     session.close()
-    assert decode(replies[keys.outside(keys.pose(pose.object, pose.instance))], PoseMessage) == pose
     assert decode(replies[keys.outside(keys.objects)], ObjectsMessage) == example(ObjectsMessage)
     assert decode(replies[keys.outside(keys.camera_info)], CameraMessage) == example(CameraMessage)
     assert decode(replies[keys.outside(keys.health("tracker"))], HealthMessage) == example(HealthMessage)
@@ -79,8 +80,8 @@ def test_after_the_tracker_died_its_last_pose_is_answered_as_suspect(start):
             "reason": "Nothing was published about it for a while: the tracker has ended, or hangs.",
         }
         assert answer == msgspec.structs.replace(last, publish_ns=answer.publish_ns, **said)
-        died_s = 1e-9 * (time.monotonic_ns() - last.capture_ns)
-        assert late.silent_s() == pytest.approx(died_s, abs=0.05)
+        died_s, silent_s = 1e-9 * (time.monotonic_ns() - last.capture_ns), late.silent_s()
+        assert died_s - 0.05 < silent_s < 1e-9 * (time.monotonic_ns() - last.capture_ns) + 0.05
         assert late.latest(max_age_s=0.9 * died_s) is None
         assert one.say(9000, state="TRACKING") == late.next(5.0)
         assert late.silent_s() < 0.9 * died_s
@@ -123,20 +124,19 @@ def test_the_rate_is_limited_but_a_change_of_state_passes_at_once(start):
     one = start(max_rate_hz=10.0)
     with PoseClient(f"tcp/127.0.0.1:{one.port}") as client:
         one.say_until(lambda: client.latest() is not None)
-        time.sleep(0.15)
-        while client.next(0.02) is not None:
-            pass
+        began = time.monotonic()
         for i in range(100):
             one.say(5000 + i, state="SUSPECT" if i >= 50 else "TRACKING")
             time.sleep(0.004)
-        time.sleep(0.2)
-        got = []
-        while (pose := client.next(0.1)) is not None:
+        got = [0]
+        while got[-1] != 5099:
+            pose = client.next(5.0)
+            assert pose is not None, "the newest arrives, late"
             got.append(pose.frame_id)
+        took_s = time.monotonic() - began
     assert 5050 in got
-    assert got[-1] == 5099, "the newest arrives, late"
     # One for each tenth of a second that it took, and two that are not held back.
-    assert len(got) < 40
+    assert sum(number >= 5000 for number in got) <= 10.0 * took_s + 4.0
 
 
 def test_a_subscriber_keeps_the_newest_pose_of_each_frame(start):
@@ -195,10 +195,11 @@ def test_over_tls_the_client_asks_for_a_name_instead_of_an_ipv6_address(start, a
 def test_a_new_client_does_not_report_that_nothing_comes(start):
     one = start()
     with PoseClient(f"localhost:{one.port}") as client:
-        one.say_until(lambda: client.latest() is not None)
+        last = one.say_until(lambda: client.latest() is not None)
     for _ in range(3):
         with PoseClient(f"localhost:{one.port}") as client:
-            assert re.fullmatch(r"connected: the last pose came [0-3]\.\d s ago", client.why_silent())
+            said = re.fullmatch(r"connected: the last pose came (\d+\.\d) s ago", client.why_silent())
+        assert float(said[1]) < 1e-9 * (time.monotonic_ns() - last.capture_ns) + 0.1
 
 
 def test_a_tracker_that_starts_is_distinguished_from_objects_out_of_view(start, wait_until):
@@ -304,17 +305,14 @@ def test_a_client_survives_a_gateway_that_starts_later_and_restarts(base_port):
         assert not client.connected
         assert client.silent_s() == float("inf")
         one = Running(base_port)
-        one.say_until(lambda: client.latest() is not None)
-        now = client.at()
-        assert now.ahead_s < 0.1
+        found = []
+        one.say_until(lambda: found.append(client.at()) or found[-1])
+        assert found[-1].ahead_s < 0.1
         assert client.at(time.time_ns() + 10**9) is None
         one.stop_gateway()
-        time.sleep(0.3)
-        assert not client.connected
+        until(lambda: not client.connected and client.silent_s() > 0.2)
         assert client.latest(max_age_s=0.2) is None
-        assert client.silent_s() > 0.2
         one.start_gateway()
-        time.sleep(0.1)
         last = one.say_until(lambda: client.silent_s() < 0.1)
         assert client.connected
         assert last.frame_id > 1000
@@ -344,14 +342,17 @@ def test_the_twenty_lines_of_the_documentation_print_poses(start):
         [sys.executable, "-c", code, f"tcp/127.0.0.1:{one.port}"], stdout=subprocess.PIPE, text=True
     )
     got = []
-    reader = threading.Thread(target=lambda: got.append(process.stdout.readline()))
+    reader = threading.Thread(target=lambda: got.extend(process.stdout))
     reader.start()
-    pose = one.say_until(lambda: got)
+    pose = one.say(1000)
+    position = json.loads(json.dumps(pose.translation))
+    expected = f"{pose.object} {pose.instance} TRACKING {position} "
+    # The stored pose, which comes first, is SUSPECT if this process did not run for a while.
+    one.say_until(lambda: any(line.startswith(expected) for line in list(got)))
     process.kill()
     reader.join()
     process.communicate()
-    position = json.loads(json.dumps(pose.translation))
-    assert got[0].startswith(f"{pose.object} {pose.instance} TRACKING {position} ")
+    assert got[0].replace("SUSPECT", "TRACKING").startswith(expected)
 
 
 def test_the_twenty_lines_of_the_documentation_survive_a_gateway_that_does_not_answer(base_port):

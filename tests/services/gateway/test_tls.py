@@ -79,7 +79,6 @@ def test_a_reload_replaces_the_permitted_readers(start, authority):
 
 
 def test_the_reason_why_a_gateway_is_not_reached_is_given(start, authority, base_port, monkeypatch):
-    monkeypatch.setattr("huepose_protos.reach._WITHIN_S", 0.5)
     one = start(tls=tls(authority))
     shown = {name: Credentials(*credentials(authority, name).values()) for name in ("robot1", "stranger")}
     shown["no authority"] = shown["robot1"]._replace(authority=authority / "robot2.pem")
@@ -98,6 +97,7 @@ def test_the_reason_why_a_gateway_is_not_reached_is_given(start, authority, base
         with PoseClient(given, **files) as client:
             assert client.why_silent().startswith(f"waiting for a gateway at {given}: it ")
             assert found in client.why_silent()
+    monkeypatch.setattr("huepose_protos.reach._WITHIN_S", 0.5)  # it never answers
     with socket.create_server(("127.0.0.1", base_port + 1)):
         assert "without --tls" in why_unreachable("127.0.0.1", base_port + 1, shown["robot1"].context())
 

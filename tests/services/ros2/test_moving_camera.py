@@ -23,7 +23,7 @@ from huepose_services.ros2.messages import TRANSFORMS
 from huepose_services.runtime.config import CHAIN
 from huepose_services.runtime.running import pick
 from tests.conftest import CAMERA, table_top
-from tests.services.conftest import free_port_range, patient_pipeline, processes
+from tests.services.conftest import free_port_range, patient_pipeline, processes, until
 from tests.services.ros2.test_ros2 import read
 from tests.services.sessions import listening
 
@@ -132,8 +132,8 @@ def test_poses_and_the_tree_of_ros_2_are_right_until_the_arm_sends_no_more_poses
     with zenoh.open(router) as ros, processes() as start, PoseClient(pick(path).endpoints[:2]) as client:
         ros.declare_subscriber("0/tf/**", lambda sample: tree.append(sample.payload.to_bytes()))
         start("up", path)
-        until = time.monotonic() + 150.0
-        while len(off) < 100 and time.monotonic() < until:
+        end = time.monotonic() + 150.0
+        while len(off) < 100 and time.monotonic() < end:
             pose = client.next(1.0)
             if pose is None or pose.state != "TRACKING":
                 continue
@@ -146,12 +146,12 @@ def test_poses_and_the_tree_of_ros_2_are_right_until_the_arm_sends_no_more_poses
         (tmp_path / "silent").touch()
         warned = ""
         with Reader(pick(path).endpoints[:2], "huepose/*/*/health/camera", "huepose/*/*/pose/**") as reader:
-            until = time.monotonic() + 20.0
-            while "camera.moving" not in warned and time.monotonic() < until:
+            end = time.monotonic() + 20.0
+            while "camera.moving" not in warned and time.monotonic() < end:
                 message = reader.next(1.0)
                 warned += " ".join(message.warnings) if isinstance(message, HealthMessage) else ""
         time.sleep(1.0)
-        last = client.latest(max_age_s=1.0)
+        last = until(lambda: client.latest(max_age_s=1.0))
         gone = client.at()
     assert len(off) >= 100, f"{len(off)} poses in the robot's frame"
     print(f"robot frame: median {np.median(off) * 1e3:.2f} mm, largest {max(off) * 1e3:.2f} of {len(off)}")

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 import weakref
+from types import SimpleNamespace
 
 import numba
 import pytest
@@ -18,6 +19,7 @@ from huepose_protos import decode, encode
 from huepose_protos.examples import example
 from huepose_protos.messages import FrameHeader, HealthMessage
 from huepose_services.cli.status import as_text
+from huepose_services.runtime import log as log_module
 from huepose_services.runtime.clock import SECOND
 from huepose_services.runtime.compiling import LateCompiling
 from huepose_services.runtime.health import Health
@@ -136,25 +138,31 @@ def test_the_log_as_json(capsys, monkeypatch):
     assert got == {"level": "error", "worker": "tracker", "text": "it broke"}
 
 
-def test_repeats_are_held_back_and_counted(capsys, monkeypatch):
-    monkeypatch.setattr("huepose_services.runtime.log._FIRST_S", 0.05)
+@pytest.fixture
+def log_clock(monkeypatch):
+    """The log's time in seconds, in a list: a test sets it."""
+    at = [100.0]
+    monkeypatch.setattr(log_module, "time", SimpleNamespace(**vars(time) | {"monotonic": lambda: at[0]}))
+    return at
+
+
+def test_repeats_are_held_back_and_counted(capsys, log_clock):
     log = Log("tracker")
     for _ in range(5):
         log.seldom("kind", "again")
-    time.sleep(0.06)
+    log_clock[0] += 1.0
     log.seldom("kind", "again")
-    assert capsys.readouterr().err.splitlines()[-1].endswith("again (4 more in 0 s)")
+    assert capsys.readouterr().err.splitlines()[-1].endswith("again (4 more in 1 s)")
 
 
-def test_a_change_of_state_gives_one_line_and_a_flicker_none(capsys):
+def test_a_change_of_state_gives_one_line_and_a_flicker_none(capsys, log_clock):
     changes = StateChanges(Log("tracker"), every_s=0.1, moment_s=0.05)
 
     def stays(state, seconds):
-        until = time.monotonic() + seconds
-        while time.monotonic() < until:
+        for _ in range(round(seconds / 0.002)):
             changes.note("mug/0", state, "quality 0.90")
             changes.flush()
-            time.sleep(0.002)
+            log_clock[0] += 0.002
 
     stays("TRACKING", 0.1)
     changes.note("mug/0", "SUSPECT")  # for one frame

@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from itertools import count
 from types import SimpleNamespace
 
 import msgspec
@@ -18,6 +19,7 @@ from huepose_services.following import Change
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.tracker import make, tracker_of
+from tests.services.conftest import until
 from tests.services.tracker_work import (
     AHEAD,
     CENTRE,
@@ -245,14 +247,18 @@ def test_the_log_says_what_was_refused_and_why(capfd, answer, verdict, reach_s, 
 
 def test_a_change_of_state_is_in_the_log_once(capfd):
     work, bus, _ = worker()
-    until = time.monotonic() + 0.4
-    number = 0
-    while time.monotonic() < until:
-        number += 1
-        bus.arriving[FrameHeader] = [frame_of_age(number, 0.0)]
+    numbers, said = count(1), []
+
+    def step():
+        bus.arriving[FrameHeader] = [frame_of_age(next(numbers), 0.0)]
         work.step()
         time.sleep(0.01)
-    assert capfd.readouterr().err.count("mug/0 TRACKING") == 1
+        said.append(capfd.readouterr().err)
+
+    until(lambda: "mug/0 TRACKING" in "".join(said), act=step)
+    for _ in range(30):
+        step()
+    assert "".join(said).count("mug/0 TRACKING") == 1
 
 
 def test_no_correction_of_the_far_future_is_taken():

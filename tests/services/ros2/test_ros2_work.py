@@ -56,20 +56,22 @@ def _now(name: str, frame_id: int, **changes: Any) -> PoseMessage:
     return pose(object=name, frame_id=frame_id, publish_ns=now_ns(), **changes)
 
 
-def test_poses_of_one_frame_that_come_far_apart_are_one_array() -> None:
+def test_poses_of_one_frame_that_come_far_apart_are_one_array(monkeypatch: pytest.MonkeyPatch) -> None:
+    at = [now_ns()]
+    monkeypatch.setattr(ros2_work, "now_ns", lambda: at[0])
     work, bus, router = _work()
     for frame in (1, 2, 3):
         for name in ("box", "can"):
             bus.arriving[PoseMessage].append(_now(name, frame))
             work.step()
-            time.sleep(0.015)
+            at[0] += 15_000_000
             work.step()
     assert [len(published.detections) for published in router.published[DETECTIONS]] == [2, 2, 2]
     # A single pose is published without waiting for the others.
     bus.arriving[PoseMessage].append(_now("box", 4))
     work.step()
     assert (len(router.published[POSE]), len(router.published[DETECTIONS])) == (7, 3)
-    assert 0 < work.due_ns() - now_ns() <= 25_000_000
+    assert 0 < work.due_ns() - at[0] <= 25_000_000
 
 
 @pytest.mark.parametrize("theirs", [True, False])

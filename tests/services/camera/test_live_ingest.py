@@ -100,18 +100,21 @@ def test_a_camera_that_hangs_is_reported_as_giving_no_image_not_as_slow(ingest_o
         "            hung = True\n"
         "            time.sleep(2.6)"
     )
-    logged, sent, pictures, warnings = [], [], set(), set()
+    logged, sent, pictures, warnings, steps = [], [], set(), set(), []
     bus.log.seldom = lambda kind, text: logged.append(kind)
     bus.say_health = lambda: sent.append((len(bus.headers), bus.health.message()))
-    until = time.monotonic() + 5.0
-    while time.monotonic() < until:
+    end = time.monotonic() + 20.0
+    while time.monotonic() < end and not (pictures - {""} and sent[-1][1].state == "ready"):
+        began_ns = time.monotonic_ns()
         ingest.step()
+        steps.append((began_ns, time.monotonic_ns()))
         pictures.add(bus.health.picture)
         warnings.update(bus.health.message().warnings)
     said = [(frames, message) for frames, message in sent if "no image for" in message.picture]
     ((frames, message),) = said
-    age_s = 1e-9 * (message.publish_ns - bus.headers[frames - 1].capture_ns)
-    assert 1.0 < age_s < 1.3
+    late_ns = bus.headers[frames - 1].capture_ns + 1_250_000_000
+    # It is said in the first step that begins so late, at the latest.
+    assert late_ns - 250_000_000 < message.publish_ns < next(over for began, over in steps if began > late_ns)
     assert message.state == "waiting"
     assert message.picture.startswith("No image comes, and perception waits for the next. cam.py: no ima")
     assert message.warnings[0] == "cam.py: no image for 1 s"
@@ -144,7 +147,8 @@ def test_frames_say_that_their_camera_has_stopped_until_the_image_changes(ingest
         return
     assert 1.3 < said_s[0] < 1.8
     assert 2.8 < said_s[-1] < 3.1
-    assert "cam.py: its image has changed before" in bus.headers[-60].camera
+    late = next(h for h in bus.headers if h.capture_ns - begun_ns > 2.5e9)
+    assert "cam.py: its image has changed before" in late.camera
     assert bus.headers[-1].camera == ""
 
 
@@ -161,7 +165,8 @@ def test_health_reports_at_once_that_a_fault_of_the_images_begins_and_ends(inges
         "began = locals().get('began', time.monotonic())\n"
         "        depth *= 1000.0 if time.monotonic() - began < 1.5 else 1.0"
     )
-    _step_for(ingest, 2.5)
+    _step_for(ingest, 10.0, lambda: len(bus.healths) == 2)
+    _step_for(ingest, 0.5)
     wrong, over = (said.picture for said in bus.healths)
     assert wrong.startswith("cam.py: depth looks like millimetres")
     assert over == ""

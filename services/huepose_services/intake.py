@@ -131,7 +131,8 @@ class InputCache:
         # The thread holds the channel only: a queryable that is waited on cannot be undeclared.
         queries: Any = bus.session.declare_queryable(bus.keys.again, zenoh.handlers.FifoChannel(16))
         self._queryable = queries
-        threading.Thread(target=self._serve, args=(queries.handler,), daemon=True).start()
+        self._thread = threading.Thread(target=self._serve, args=(queries.handler,), daemon=True)
+        self._thread.start()
 
     def frame(self, header: FrameHeader, payload: bytes, frame: RgbdFrame, recorded: bool) -> None:
         """Keep a frame that the tracker took. recorded: whether somebody records."""
@@ -150,6 +151,11 @@ class InputCache:
     def step(self, message: IntakeMessage) -> None:
         """Keep the log of a step."""
         self._steps.append(message)
+
+    def close(self) -> None:
+        """End the thread: one that waits in zenoh when the interpreter ends would abort the process."""
+        self._queryable.undeclare()
+        self._thread.join(1.0)
 
     def _serve(self, channel: Any) -> None:
         with suppress(zenoh.ZError):  # the session ends while it answers

@@ -9,8 +9,12 @@ from huepose.geometry import Camera, RgbdFrame
 from huepose.tracking import Tracker, TrackerConfig
 from huepose_services import intake
 from huepose_services.convert import frame_from_wire
+from huepose_services.following import Follower
 from huepose_services.intake import InputCache
+from huepose_services.runtime.config import BusConfig, Config
+from huepose_services.tracker import TrackerWork
 from tests.services.fake_bus import FakeBus, sent
+from tests.services.sessions import close_bus, open_bus
 from tests.services.tracker_work import MS
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
@@ -46,3 +50,15 @@ def test_a_frame_that_comes_twice_is_kept_once(monkeypatch):
         monkeypatch.setattr(intake, "_NEWEST_BYTES", len(payload))
         cache.frame(header, payload, frame_from_wire(header, payload), recorded=True)
     assert [frame_id for _, frame_id in cache._frames] == [3]
+
+
+@pytest.mark.live
+def test_no_thread_waits_for_requests_when_the_tracker_is_closed(base_port):
+    """It would abort the process at its end, if that comes from an error."""
+    config = Config(bus=BusConfig(base_port=base_port))
+    bus = open_bus(config, "tracker")
+    work = TrackerWork(bus, Tracker({}), Follower(bus, str, []), config, cache=InputCache(bus))
+    assert work._cache._thread.is_alive()
+    work.close()
+    assert not work._cache._thread.is_alive()
+    close_bus(bus)

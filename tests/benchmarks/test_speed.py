@@ -29,6 +29,7 @@ def _speed(*arguments: str) -> tuple[int, dict[str, dict[str, float]]]:
 
 @pytest.mark.live
 @pytest.mark.pipeline
+@pytest.mark.timeout(320)
 def test_no_stage_became_slower():
     code, found = _speed()
     assert (code, found["slower"], found["busier"]) == (0, {}, {}), found
@@ -36,6 +37,7 @@ def test_no_stage_became_slower():
 
 @pytest.mark.live
 @pytest.mark.pipeline
+@pytest.mark.timeout(320)
 def test_a_stage_that_is_slower_by_half_is_reported():
     code, found = _speed("--only", "track", "--slowed", "0.5")
     assert (code, list(found["slower"])) == (1, ["track"]), found

@@ -10,7 +10,7 @@ import pytest
 from huepose_protos.client import open_session
 from tests.services.conftest import runs, started_by
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.timeout(240)]
 
 
 @pytest.fixture

@@ -42,6 +42,7 @@ def _why_not():
 pytestmark = [
     pytest.mark.live,
     pytest.mark.pipeline,
+    pytest.mark.timeout(400),
     pytest.mark.skipif(_why_not() is not None, reason=str(_why_not())),
 ]
 

@@ -271,6 +271,7 @@ def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, 
 
 
 @pytest.mark.live
+@pytest.mark.timeout(240)
 @pytest.mark.parametrize("verb", ["record", "view"])
 def test_a_waiting_command_finds_a_pipeline_that_starts_at_another_port(
     verb, pipeline, huepose, tea_box, tmp_path, monkeypatch

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +90,9 @@ class TwoHosts:
     def tracked(self, for_s=1.0):
         """The objects that were TRACKING lately."""
         since = time.monotonic() - for_s
-        return {m.object for said, m in self.poses if said > since and m.state == "TRACKING"}
+        # From the newest on: this is asked for each message, and must not take longer than they come apart.
+        late = takewhile(lambda one: one[0] > since, reversed(self.poses))
+        return {m.object for _, m in late if m.state == "TRACKING"}
 
     def longest_gap_s(self, since):
         """The longest time without a pose message."""

@@ -181,8 +181,11 @@ class Arrivals:
             thread.start()
             self._subscriptions.append((subscriber, thread))
         self._closed = threading.Event()
-        if ask is not None:
-            threading.Thread(target=self._ask_again, args=(ask,), daemon=True).start()
+        self._asking = (
+            None if ask is None else threading.Thread(target=self._ask_again, args=(ask,), daemon=True)
+        )
+        if self._asking is not None:
+            self._asking.start()
 
     def _ask_again(self, ask: Ask) -> None:
         while not self._closed.wait(_LOOK_EVERY_S):
@@ -251,8 +254,11 @@ class Arrivals:
         return bool(self._waiting)
 
     def unsubscribe(self) -> None:
-        """End all subscriptions; what has come can still be taken."""
+        """End all subscriptions; what has come can still be taken. A thread that waits in zenoh when the
+        interpreter ends would abort the process."""
         self._closed.set()
+        if self._asking is not None:
+            self._asking.join(3.0)  # an answer is waited for two seconds
         while self._subscriptions:
             subscriber, thread = self._subscriptions.pop()
             subscriber.undeclare()

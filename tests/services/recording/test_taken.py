@@ -1,6 +1,9 @@
 """A recording has all that the tracker took: what did not arrive is requested; skipped frames are dropped
 first."""
 
+import threading
+import time
+
 import msgspec
 import pytest
 
@@ -114,3 +117,17 @@ def test_a_slow_recorder_drops_frames_that_the_tracker_skipped():
     arrivals.close()
     assert not kept & {1, 2}
     assert arrivals.missed >= 4
+
+
+def test_no_request_is_waited_for_after_the_end():
+    asking = []
+
+    def ask(frames, steps):
+        asking.append(threading.current_thread())
+        time.sleep(0.3)
+        return []
+
+    arrivals = Arrivals(_Channel([_Sample(*_step(1, 1))]), ["all"], 40, ask)
+    until(lambda: asking)
+    arrivals.close()
+    assert not asking[0].is_alive()

@@ -75,14 +75,15 @@ def _ignore_failures(kept: Any) -> None:
 
     def or_emptied(use: Callable[..., Any], how: int) -> Callable[..., Any]:
         def used(*arguments: Any) -> Any:
-            try:
-                with _locked(kept.cache_path, how):
+            with suppress(OSError), _locked(kept.cache_path, how):  # OSError: no descriptor is left for it
+                try:
                     return use(*arguments)
-            except Exception:  # damaged data raise any kind
-                # Without the index no data are read: after a failed write they may be those of older sources.
-                with suppress(OSError):
-                    Path(kept._cache_file._index_path).unlink()
-                return None
+                except Exception as error:  # damaged data raise any kind
+                    # Without the index no data are read: after a failed write they may be of older sources.
+                    # That this process lacks descriptors or memory to read them says nothing about them.
+                    if how == fcntl.LOCK_EX or not isinstance(error, OSError | MemoryError):
+                        Path(kept._cache_file._index_path).unlink()
+            return None
 
         return used
 

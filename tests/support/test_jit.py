@@ -98,6 +98,36 @@ def test_on_a_full_disk_a_kernel_works_and_code_of_older_sources_is_not_used(
     assert sum(compiled(path).cache_hits.values()) == 1
 
 
+def failing(error: Exception) -> Any:
+    """A function that raises this error."""
+
+    def fail(*arguments: Any) -> None:
+        raise error
+
+    return fail
+
+
+@pytest.mark.parametrize(
+    ("place", "name", "error"),
+    [
+        (jit, "_locked", OSError(errno.EMFILE, "Too many open files")),
+        (IndexDataCacheFile, "load", OSError(errno.EMFILE, "Too many open files")),
+        (IndexDataCacheFile, "load", MemoryError()),
+    ],
+)
+def test_a_process_that_cannot_read_a_kernel_leaves_it_to_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: Any, name: str, error: Exception
+) -> None:
+    path = tmp_path / "kernels.py"
+    path.write_text(KERNEL)
+    compiled(path)
+    with monkeypatch.context() as patch:
+        patch.setattr(IndexDataCacheFile, "save", lambda *_: None)
+        patch.setattr(place, name, failing(error))
+        assert not compiled(path).cache_hits
+    assert sum(compiled(path).cache_hits.values()) == 1
+
+
 OTHER_PROCESS = """
 import numba
 from huepose.support import jit

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -64,7 +65,8 @@ def installed(request, tmp_path):
     user = subprocess.run(["id", "-un"], capture_output=True, text=True, check=True).stdout.strip()
     arguments = ["units", path, "--out", out, "--user", user]
     subprocess.run([sys.executable, "-m", "huepose_services.cli.main", *map(str, arguments)], check=True)
-    assert _value((out / "huepose@.service").read_text(), "ExecStart").startswith(f"{command} run %i ")
+    started = shlex.split(_value((out / "huepose@.service").read_text(), "ExecStart"))
+    assert started[:3] == [str(command), "run", "%i"]
     return out
 
 

@@ -144,7 +144,7 @@ def _bundle(folder, uv):
 
 
 def test_the_services_can_read_the_programs_whatever_the_umask(two_versions):
-    written = "#!/bin/sh\\nmkdir -p \\$4\\necho > \\$4/huepose.target"
+    written = "#!/bin/sh\\n[ \\$1 = units ] || exit 0\\nmkdir -p \\$4\\necho > \\$4/huepose.target"
     program = f'printf "{written}" > "$VIRTUAL_ENV/bin/huepose"; chmod +x "$VIRTUAL_ENV/bin/huepose"'
     _bundle(two_versions, f'if [ "$1" = venv ]; then mkdir -p "$last/bin"; else {program}; fi')
     done = _run_installer(two_versions, umask=0o077)

@@ -3,6 +3,7 @@
 import threading
 import time
 from itertools import count
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -14,6 +15,7 @@ from huepose_protos.buffers import frame_images, pack
 from huepose_protos.examples import example, images
 from huepose_protos.messages import FrameHeader, ObjectsMessage, PoseMessage
 from huepose_services.following import Memory, recall
+from huepose_services.runtime import session
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import CHAIN, BusConfig, Config
 from huepose_services.runtime.session import MIB, lock_limit, pool_fits, pool_size
@@ -24,6 +26,13 @@ pytestmark = pytest.mark.live
 
 POSE = example(PoseMessage)
 HEADER = example(FrameHeader)
+
+
+class Usage(NamedTuple):
+    """As of shutil.disk_usage."""
+
+    path: object
+    free: int
 
 
 @pytest.fixture
@@ -213,6 +222,20 @@ def test_without_a_limit_the_pool_grows_with_its_readers():
     assert pool_size(Config(), 8 * MIB) == pool_size(Config(), None) == 6 * MIB
     assert pool_size(watched, 8 * MIB) == 6 * MIB
     assert pool_size(watched, None) == 9 * MIB
+
+
+def test_a_camera_says_that_its_pool_does_not_fit_into_shared_memory(monkeypatch, base_port):
+    """As in a container with little of it."""
+    config = Config(bus=BusConfig(base_port=base_port))
+    monkeypatch.setattr(session, "lock_limit", lambda: None)
+    warnings = []
+    for free_mib in (5, 7):
+        monkeypatch.setattr("shutil.disk_usage", lambda path, free_mib=free_mib: Usage(path, free_mib * MIB))
+        opened, warning = session.open_worker_session(config, "camera")
+        opened.close()
+        warnings.append(warning)
+    off = "shared memory is off: frames need 6144 KiB in /dev/shm, 5120 KiB are free; frames go by the socket"
+    assert warnings == [off, None]
 
 
 @pytest.mark.parametrize("name", ["publish_ns", "capture_ns"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-import shutil
 import sys
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -17,13 +16,12 @@ from typing import Literal
 from huepose.support.errors import InputError
 from huepose.support.extras import install_command, installed_version
 from huepose_services.runtime.config import Config
-from huepose_services.runtime.session import MIB, lock_limit, pool_fits
+from huepose_services.runtime.session import MIB, SHM, lock_limit, pool_fits, shared_memory_free
 
 _PACKAGES = (
     *("huepose", "eclipse-zenoh", "numpy", "msgspec", "opencv-python-headless", "numba", "scipy"),
     *("onnxruntime", "onnxruntime-gpu", "open3d-cpu", "open3d", "rerun-sdk", "pyrealsense2", "depthai"),
 )
-_SHM = Path("/dev/shm")  # noqa: S108  # looked at, not written to
 _CPUS = Path("/sys/devices/system/cpu")
 _CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 
@@ -200,14 +198,14 @@ def memory(pool_mib: float) -> Iterator[Finding]:
         + ("" if fits else ", so they are sent over the socket"),
         "" if fits else "Raise it (ulimit -l unlimited, LimitMEMLOCK=infinity), or lower bus.frame_pool_mib.",
     )
-    if not os.access(_SHM, os.W_OK):
+    if not os.access(SHM, os.W_OK):
         fix = "Mount it: without it, frames are sent over the socket. In a container: --shm-size=256m."
-        yield Finding("shared memory", "note", f"{_SHM} is not there, or not writable", fix)
+        yield Finding("shared memory", "note", f"{SHM} is not there, or not writable", fix)
         return
-    free = shutil.disk_usage(_SHM).free / MIB
+    free = shared_memory_free() / MIB
     enough = free > 4 * pool_mib
     fix = "" if enough else "Free space in it, or enlarge it: mount -o remount,size=256M /dev/shm."
-    yield Finding("shared memory", "ok" if enough else "bad", f"{free:.0f} MiB free in {_SHM}", fix)
+    yield Finding("shared memory", "ok" if enough else "bad", f"{free:.0f} MiB free in {SHM}", fix)
 
 
 def clock() -> Iterator[Finding]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import resource
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -27,6 +28,7 @@ _POOL_OVERHEAD = 1280 * 1024
 _LINK_OVERHEAD = 24 * 1024
 # Batches of 64 KiB for each priority in use; the most that zenoh allows.
 _BATCHES = 16
+SHM = Path("/dev/shm")  # noqa: S108  # looked at, not written to
 FRAME_WORKERS = ("camera", "tracker", "detector", "viewer", "uplink")
 
 
@@ -51,6 +53,14 @@ def _may_lock_anything() -> bool:
 def pool_fits(pool_bytes: int, limit: int | None, pools: int = 1) -> bool:
     """Whether a process with this limit can lock that many pools of frames."""
     return limit is None or pools * (pool_bytes + _POOL_OVERHEAD) + _LINK_OVERHEAD <= limit
+
+
+def shared_memory_free() -> int:
+    """Free bytes for shared memory; 0 if there is none."""
+    try:
+        return shutil.disk_usage(SHM).free
+    except OSError:
+        return 0
 
 
 def pool_size(config: Config, limit: int | None) -> int:
@@ -108,6 +118,12 @@ def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, str
             f"shared memory is off after {restarts()} restarts: readers keep the old pools locked, and the "
             f"limit (ulimit -l) of {(limit or 0) // 1024} KiB has no room for another; frames go by "
             "the socket"
+        )
+    elif shared and worker == "camera" and (free := shared_memory_free()) < pool:
+        shared = False
+        warning = (
+            f"shared memory is off: frames need {pool // 1024} KiB in {SHM}, {free // 1024} KiB are free; "
+            "frames go by the socket"
         )
     make_folder()
     before = WORKERS[: WORKERS.index(worker)]

@@ -8,11 +8,10 @@ seconds. Checksums and the memory are computed only while somebody records.
 
 from __future__ import annotations
 
-import threading
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -119,8 +118,7 @@ class InputCache:
     behind loses frames, and a recording without every frame that the tracker took cannot be verified.
 
     A frame is kept as long as the tracker keeps it, which costs no memory because the pixels are shared;
-    while somebody records, the newest frames are kept too. Requests are answered in a thread, because an
-    answer may wait for its reader and the worker's loop must not."""
+    while somebody records, the newest frames are kept too."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
@@ -128,11 +126,7 @@ class InputCache:
         self._newest: deque[RgbdFrame] = deque()
         self._newest_bytes = 0
         self._steps: deque[IntakeMessage] = deque(maxlen=_STEPS)
-        # The thread holds the channel only: a queryable that is waited on cannot be undeclared.
-        queries: Any = bus.session.declare_queryable(bus.keys.again, zenoh.handlers.FifoChannel(16))
-        self._queryable = queries
-        self._thread = threading.Thread(target=self._serve, args=(queries.handler,), daemon=True)
-        self._thread.start()
+        bus.inbox.serve(bus.keys.again, self._answer)
 
     def frame(self, header: FrameHeader, payload: bytes, frame: RgbdFrame, recorded: bool) -> None:
         """Keep a frame that the tracker took. recorded: whether somebody records."""
@@ -151,17 +145,6 @@ class InputCache:
     def step(self, message: IntakeMessage) -> None:
         """Keep the log of a step."""
         self._steps.append(message)
-
-    def close(self) -> None:
-        """End the thread: one that waits in zenoh when the interpreter ends would abort the process."""
-        self._queryable.undeclare()
-        self._thread.join(1.0)
-
-    def _serve(self, channel: Any) -> None:
-        with suppress(zenoh.ZError):  # the session ends while it answers
-            for query in channel:
-                with query:
-                    self._answer(query)
 
     def _answer(self, query: zenoh.Query) -> None:
         try:

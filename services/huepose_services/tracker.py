@@ -139,11 +139,6 @@ class TrackerWork(Work):
             self._bus.put_aside(self._bus.keys.memory, self.memory())
         return []
 
-    def close(self) -> None:
-        """Answer no more requests for inputs."""
-        if self._cache is not None:
-            self._cache.close()
-
     def due_ns(self) -> int | None:
         """When TRACKING poses become too old, or old poses are due to be published again, if no newer frame
         comes."""

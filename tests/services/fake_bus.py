@@ -39,7 +39,7 @@ class FakeBus:
     def __init__(self, worker, keys=None):
         self.keys, self.health = keys or Config().keys, Health(worker)
         self.arriving, self.said, self.healths, self.logged = defaultdict(list), [], [], defaultdict(list)
-        self.inbox = SimpleNamespace(queue=_nothing, ring=_nothing, liveliness=_nothing)
+        self.inbox = SimpleNamespace(queue=_nothing, ring=_nothing, liveliness=_nothing, serve=_nothing)
         self.begun, self.forgotten = [], []
         self.session = SimpleNamespace(declare_queryable=_nothing)
         self.log = SimpleNamespace(

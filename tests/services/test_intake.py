@@ -9,10 +9,8 @@ from huepose.geometry import Camera, RgbdFrame
 from huepose.tracking import Tracker, TrackerConfig
 from huepose_services import intake
 from huepose_services.convert import frame_from_wire
-from huepose_services.following import Follower
 from huepose_services.intake import InputCache
 from huepose_services.runtime.config import BusConfig, Config
-from huepose_services.tracker import TrackerWork
 from tests.services.fake_bus import FakeBus, sent
 from tests.services.sessions import close_bus, open_bus
 from tests.services.tracker_work import MS
@@ -57,8 +55,8 @@ def test_no_thread_waits_for_requests_when_the_tracker_is_closed(base_port):
     """It would abort the process at its end, if that comes from an error."""
     config = Config(bus=BusConfig(base_port=base_port))
     bus = open_bus(config, "tracker")
-    work = TrackerWork(bus, Tracker({}), Follower(bus, str, []), config, cache=InputCache(bus))
-    assert work._cache._thread.is_alive()
-    work.close()
-    assert not work._cache._thread.is_alive()
+    InputCache(bus)
+    ((_, thread),) = bus.inbox._served
+    assert thread.is_alive()
     close_bus(bus)
+    assert not thread.is_alive()

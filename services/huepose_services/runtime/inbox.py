@@ -11,6 +11,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import zenoh
@@ -61,6 +62,7 @@ class Inbox:
         self._session = session
         self._ready = threading.Condition()
         self._subscriptions: dict[Place, tuple[Any, threading.Thread]] = {}
+        self._served: list[tuple[Any, threading.Thread]] = []
 
     def ring(
         self,
@@ -113,6 +115,21 @@ class Inbox:
         thread.start()
         self._subscriptions[place] = (subscriber, thread)
 
+    def serve(self, key: str, answer: Callable[[zenoh.Query], None]) -> None:
+        """Answer queries in a thread of their own, because an answer may wait for its reader."""
+        # The thread holds the channel only: a queryable that is waited on cannot be undeclared.
+        queries: Any = self._session.declare_queryable(key, zenoh.handlers.FifoChannel(16))
+        thread = threading.Thread(target=self._answer, args=(queries.handler, answer), daemon=True)
+        thread.start()
+        self._served.append((queries, thread))
+
+    @staticmethod
+    def _answer(channel: Any, answer: Callable[[zenoh.Query], None]) -> None:
+        with suppress(zenoh.ZError):  # the session ends while it answers
+            for query in channel:
+                with query:
+                    answer(query)
+
     @staticmethod
     def _move(channel: Any, place: Place) -> None:
         while True:
@@ -138,11 +155,17 @@ class Inbox:
 
     def forget(self, place: Place) -> None:
         """End a subscription."""
-        subscriber, thread = self._subscriptions.pop(place)
-        subscriber.undeclare()
-        thread.join(1.0)
+        _end(*self._subscriptions.pop(place))
 
     def close(self) -> None:
-        """End all subscriptions."""
+        """End all subscriptions, and answer no more queries."""
         for place in list(self._subscriptions):
             self.forget(place)
+        while self._served:
+            _end(*self._served.pop())
+
+
+def _end(declared: Any, thread: threading.Thread) -> None:
+    """End the thread as well: one that waits in zenoh when the interpreter ends would abort the process."""
+    declared.undeclare()
+    thread.join(1.0)

@@ -22,6 +22,7 @@ in view."""
 
 _MOST_MORE = 40
 _STEP = 1e-5
+_EQUAL = np.ones(2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +54,15 @@ def certainty(A: Float64, B: Float64, found: HandEye) -> Certainty:
     lever_m = lever(B)
     rest = residuals(A, B, found.X, found.Y, lever_m).reshape(2, -1)
     sigma_m = np.sqrt((rest**2).sum(1) / (rest.shape[1] - 6))
-    shift_m, turn_m = _errors(A, found, lever_m, sigma_m)
+    gain = _gain(A, found, lever_m)
+    shift_m, turn_m = _errors(gain, lever_m, sigma_m)
     _, alpha = moves(A)
     _, turned, axes = np.linalg.svd(alpha)
     turned = turned / np.sqrt(len(alpha))
     return Certainty(
         shift_m,
         turn_m / lever_m,
-        *_errors(A, found, lever_m, np.ones(2)),
+        *_errors(gain, lever_m, _EQUAL),
         axes[2] * np.sign(axes[2][np.argmax(np.abs(axes[2]))]),
         float(turned[2]),
         float(turned[0]),
@@ -68,9 +70,8 @@ def certainty(A: Float64, B: Float64, found: HandEye) -> Certainty:
     )
 
 
-def _errors(A: Float64, found: HandEye, lever_m: float, sigma: Float64) -> tuple[float, float]:
-    """Error of X in its worst direction, of the translation and of the rotation times the lever, for
-    measurements with errors sigma (2,) in each component of these."""
+def _gain(A: Float64, found: HandEye, lever_m: float) -> Float64:
+    """How the result (12,), steps of X and Y, changes with the residuals: (12, 6N)."""
     X, Y = found.X, found.Y
     B = np.array([se3.inverse(a @ X) @ Y for a in A])  # error-free measurements
 
@@ -78,8 +79,13 @@ def _errors(A: Float64, found: HandEye, lever_m: float, sigma: Float64) -> tuple
         return residuals(A, B, X @ se3.exp(steps[:6]), Y @ se3.exp(steps[6:]), lever_m)
 
     J = np.array([(left(_STEP * e) - left(-_STEP * e)) / (2.0 * _STEP) for e in np.eye(12)]).T
-    X_of_residuals = np.linalg.solve(J.T @ J, J.T)
-    covariance = X_of_residuals * np.repeat(sigma**2, len(J) // 2) @ X_of_residuals.T
+    return np.asarray(np.linalg.solve(J.T @ J, J.T))
+
+
+def _errors(gain: Float64, lever_m: float, sigma: Float64) -> tuple[float, float]:
+    """Error of X in its worst direction, of the translation and of the rotation times the lever, for
+    measurements with errors sigma (2,) in each component of these."""
+    covariance = gain * np.repeat(sigma**2, gain.shape[1] // 2) @ gain.T
     shift, turn = (np.sqrt(np.linalg.eigvalsh(covariance[k, k])[-1]) for k in (slice(0, 3), slice(3, 6)))
     return float(shift), float(lever_m * turn)
 
@@ -91,6 +97,6 @@ def _more(A: Float64, found: HandEye, lever_m: float, axes: Float64) -> int | No
     one = A[len(A) // 2]
     for count in range(_MOST_MORE + 1):
         added = [one @ se3.make(se3.rotation_exp(turns[k % 6]), np.zeros(3)) for k in range(count)]
-        if max(_errors(np.array([*A, *added]), found, lever_m, np.ones(2))) <= 1.0:
+        if max(_errors(_gain(np.array([*A, *added]), found, lever_m), lever_m, _EQUAL)) <= 1.0:
             return count
     return None

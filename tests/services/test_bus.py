@@ -3,7 +3,6 @@
 import threading
 import time
 from itertools import count
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -26,13 +25,6 @@ pytestmark = pytest.mark.live
 
 POSE = example(PoseMessage)
 HEADER = example(FrameHeader)
-
-
-class Usage(NamedTuple):
-    """As of shutil.disk_usage."""
-
-    path: object
-    free: int
 
 
 @pytest.fixture
@@ -230,7 +222,7 @@ def test_a_camera_says_that_its_pool_does_not_fit_into_shared_memory(monkeypatch
     monkeypatch.setattr(session, "lock_limit", lambda: None)
     warnings = []
     for free_mib in (5, 7):
-        monkeypatch.setattr("shutil.disk_usage", lambda path, free_mib=free_mib: Usage(path, free_mib * MIB))
+        monkeypatch.setattr(session, "shared_memory_free", lambda free_mib=free_mib: free_mib * MIB)
         opened, warning = session.open_worker_session(config, "camera")
         opened.close()
         warnings.append(warning)

@@ -181,10 +181,9 @@ class Arrivals:
             thread.start()
             self._subscriptions.append((subscriber, thread))
         self._closed = threading.Event()
-        self._asking = (
-            None if ask is None else threading.Thread(target=self._ask_again, args=(ask,), daemon=True)
-        )
-        if self._asking is not None:
+        self._asking: threading.Thread | None = None
+        if ask is not None:
+            self._asking = threading.Thread(target=self._ask_again, args=(ask,), daemon=True)
             self._asking.start()
 
     def _ask_again(self, ask: Ask) -> None:

@@ -100,31 +100,36 @@ def zenoh_config(
     return peer(connect, listen, settings | (more or {}))
 
 
-def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, str | None]:
-    """The session of a worker, and a warning for its health or None. Raises InputError if its port is
-    taken."""
-    warning, limit = None, lock_limit()
-    pool = pool_size(config, limit)
-    shared = pool > 0 and worker in FRAME_WORKERS
-    if shared and not pool_fits(pool, limit):
-        shared = False
-        warning = (
+def _without_room(pool: int, limit: int | None, makes_it: bool) -> str | None:
+    """What the lack of memory for the pool means, None if there is enough. makes_it: for the camera, which
+    makes the pool, not for a reader."""
+    limit_kib = (limit or 0) // 1024
+    if not pool_fits(pool, limit):
+        return (
             f"shared memory is off: frames need {(pool + _POOL_OVERHEAD) // 1024} KiB of locked memory, "
-            f"the limit (ulimit -l) is {(limit or 0) // 1024} KiB; frames go by the socket"
+            f"the limit (ulimit -l) is {limit_kib} KiB; frames go by the socket"
         )
-    elif shared and worker == "camera" and not pool_fits(pool, limit, 1 + restarts()):
-        shared = False
-        warning = (
+    if makes_it and not pool_fits(pool, limit, 1 + restarts()):
+        return (
             f"shared memory is off after {restarts()} restarts: readers keep the old pools locked, and the "
-            f"limit (ulimit -l) of {(limit or 0) // 1024} KiB has no room for another; frames go by "
-            "the socket"
+            f"limit (ulimit -l) of {limit_kib} KiB has no room for another; frames go by the socket"
         )
-    elif shared and worker == "camera" and (free := shared_memory_free()) < pool:
-        shared = False
-        warning = (
+    if makes_it and (free := shared_memory_free()) < pool:
+        return (
             f"shared memory is off: frames need {pool // 1024} KiB in {SHM}, {free // 1024} KiB are free; "
             "frames go by the socket"
         )
+    return None
+
+
+def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, str | None]:
+    """The session of a worker, and a warning for its health or None. Raises InputError if its port is
+    taken."""
+    limit = lock_limit()
+    pool = pool_size(config, limit)
+    wanted = pool > 0 and worker in FRAME_WORKERS
+    warning = _without_room(pool, limit, worker == "camera") if wanted else None
+    shared = wanted and warning is None
     make_folder()
     before = WORKERS[: WORKERS.index(worker)]
     settings = zenoh_config(

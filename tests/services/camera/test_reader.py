@@ -114,7 +114,7 @@ def test_a_camera_that_is_unplugged_is_closed_and_opened_again(reader_of, wait_u
 
 
 def test_the_last_image_repeated_is_not_a_new_image(reader_of, wait_until, monkeypatch):
-    monkeypatch.setattr("huepose_services.camera.reader._SILENT_NS", 200_000_000)
+    monkeypatch.setattr("huepose_services.camera.reader._SILENT_NS", 1_000_000_000)
     frozen = _shot(7)
 
     def behave(device, timeout_s):
@@ -126,7 +126,7 @@ def test_the_last_image_repeated_is_not_a_new_image(reader_of, wait_until, monke
     assert reader.take(2.0).shot is frozen
     assert reader.take(0.05) is None
     wait_until(lambda: device.closed > 0)
-    assert reader.repeated >= device.reads_until_closed - 1 > 0
+    assert reader.repeated >= device.reads_until_closed - 1 > 10
     assert "no new image" in reader.trouble
 
 
@@ -134,7 +134,7 @@ def test_the_last_image_repeated_is_not_a_new_image(reader_of, wait_until, monke
 def test_the_last_image_with_new_timestamps_is_not_a_new_image_of_a_sensor(
     reader_of, wait_until, monkeypatch, is_sensor
 ):
-    monkeypatch.setattr("huepose_services.camera.reader._SILENT_NS", 200_000_000)
+    monkeypatch.setattr("huepose_services.camera.reader._SILENT_NS", 1_000_000_000)
 
     def behave(device, timeout_s):
         time.sleep(0.005)
@@ -145,7 +145,7 @@ def test_the_last_image_with_new_timestamps_is_not_a_new_image_of_a_sensor(
     reader = reader_of(device)
     if is_sensor:
         wait_until(lambda: device.closed > 0)
-        assert reader.repeated >= device.reads_until_closed - 1 > 0
+        assert reader.repeated >= device.reads_until_closed - 1 > 10
         assert "no new image" in reader.trouble
     else:
         wait_until(lambda: (taken := reader.take(0.1)) and taken.shot.number > 50)
@@ -179,7 +179,7 @@ def test_a_camera_at_its_slow_rate_gives_no_trouble(reader_of, wait_until, monke
 
     device = Device(behave)
     reader, troubles = reader_of(device, rate_hz=2.0), set()
-    wait_until(lambda: troubles.add(reader.trouble) or reader.pictures == 3)
+    wait_until(lambda: troubles.add(reader.trouble) or reader.pictures == 4)
     assert troubles == {None}
     assert (reader.openings, device.closed) == (1, 0)
 

@@ -12,7 +12,7 @@ from huepose_services.convert import frame_from_wire
 from huepose_services.intake import InputCache
 from huepose_services.runtime.config import BusConfig, Config
 from tests.services.fake_bus import FakeBus, sent
-from tests.services.sessions import close_bus, open_bus
+from tests.services.sessions import open_bus
 from tests.services.tracker_work import MS
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
@@ -58,5 +58,6 @@ def test_no_thread_waits_for_requests_when_the_tracker_is_closed(base_port):
     InputCache(bus)
     ((_, thread),) = bus.inbox._served
     assert thread.is_alive()
-    close_bus(bus)
+    bus.close()
     assert not thread.is_alive()
+    bus.session.close()

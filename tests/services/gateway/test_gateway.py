@@ -2,15 +2,11 @@
 
 import json
 import re
-import subprocess
-import sys
 import threading
 import time
-from pathlib import Path
 
 import msgspec
 import pytest
-import zenoh
 
 from huepose_protos import PoseClient, decode, encode
 from huepose_protos.client import open_session
@@ -25,13 +21,11 @@ from huepose_protos.messages import (
 )
 from huepose_services.gateway import _Said, answer_of
 from tests.services.conftest import until
-from tests.services.sessions import listening
 
 from .conftest import Running, credentials, tls
 
 pytestmark = pytest.mark.live
 ALL = "huepose/*/*/remote/**"
-DOCS = Path(__file__).parents[3] / "docs"
 
 
 def test_poses_objects_camera_and_health_can_be_read_outside_also_by_late_clients(start):
@@ -317,67 +311,6 @@ def test_a_client_survives_a_gateway_that_starts_later_and_restarts(base_port):
         assert client.connected
         assert last.frame_id > 1000
         one.close()
-
-
-def twenty_lines():
-    page = (DOCS / "subscribers.md").read_text()
-    return re.search(r"## Without our package.*?```python\n(.*?)```", page, re.DOTALL)[1]
-
-
-def test_the_twenty_lines_of_the_documentation_report_a_missing_gateway(base_port):
-    endpoint = f"tcp/127.0.0.1:{base_port}"
-    done = subprocess.run([sys.executable, "-c", twenty_lines(), endpoint], capture_output=True, text=True)
-    assert done.returncode == 1
-    assert "Unable to connect" in done.stderr
-    assert endpoint in done.stderr
-
-
-def test_the_twenty_lines_of_the_documentation_print_poses(start):
-    code = twenty_lines()
-    lines = [line for line in code.splitlines() if line.strip()]
-    assert len(lines) <= 20
-    assert not {"huepose_protos", "msgspec"} & set(re.findall(r"import (\w+)", code))
-    one = start()
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, f"tcp/127.0.0.1:{one.port}"], stdout=subprocess.PIPE, text=True
-    )
-    got = []
-    reader = threading.Thread(target=lambda: got.extend(process.stdout))
-    reader.start()
-    pose = one.say(1000)
-    position = json.loads(json.dumps(pose.translation))
-    expected = f"{pose.object} {pose.instance} TRACKING {position} "
-    # The stored pose, which comes first, is SUSPECT if this process did not run for a while.
-    one.say_until(lambda: any(line.startswith(expected) for line in list(got)))
-    process.kill()
-    reader.join()
-    process.communicate()
-    assert got[0].replace("SUSPECT", "TRACKING").startswith(expected)
-
-
-def test_the_twenty_lines_of_the_documentation_survive_a_gateway_that_does_not_answer(base_port):
-    """It is connected, but hangs; then it goes on."""
-    endpoint, key = f"tcp/127.0.0.1:{base_port}", "huepose/local/cam0/remote/pose/mustard/0"
-    with zenoh.open(listening(endpoint)) as session:
-        kept: list[zenoh.Query] = []
-        session.declare_queryable("huepose/local/cam0/remote/**", kept.append)
-        process = subprocess.Popen(
-            [sys.executable, "-c", twenty_lines(), endpoint], stdout=subprocess.PIPE, text=True
-        )
-        got: list[str] = []
-        reader = threading.Thread(target=lambda: got.append(process.stdout.readline()))
-        reader.start()
-        until(lambda: kept and process.poll() is None)
-
-        def say() -> None:
-            time.sleep(0.1)
-            session.put(key, encode(example(PoseMessage)))
-
-        until(lambda: got, 10.0, say)
-        process.kill()
-        reader.join()
-        process.communicate()
-    assert got[0].startswith(f"{example(PoseMessage).object} ")
 
 
 def test_the_worker_processes_of_a_camera_and_a_gateway(pipeline, huepose, base_port, wait_until):
